@@ -1,0 +1,25 @@
+"""Every error that mavins raises on purpose. A caller catches `MavinsError`; the CLI prints it as one line."""
+
+
+class MavinsError(Exception):
+    """The base of all errors that a user can do something about."""
+
+
+class ConfigError(MavinsError):
+    """A configuration key or value is wrong; the message names its dotted path and what is allowed."""
+
+
+class LogFormatError(MavinsError):
+    """A log cannot be read as what it claims to be."""
+
+
+class TransportError(MavinsError):
+    """A socket, port or file that bytes should pass through cannot be opened or used."""
+
+
+class OutputError(MavinsError):
+    """A result cannot be written where the user asked for it."""
+
+
+class ScenarioError(MavinsError):
+    """A simulator scenario is unknown or does not make sense."""

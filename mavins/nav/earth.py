@@ -1,0 +1,172 @@
+"""The Earth: WGS-84 ellipsoid, geodetic and Cartesian coordinates, the tangent NED frame n, gravity and rotation.
+
+Frame n is fixed to the Earth: its origin is a point on or above the ellipsoid, its axes are north, east and
+down there. LLA -> ECEF -> n is exact at any distance. Angles in rad, lengths in m. Heights are taken as
+given: the altitude above mean sea level stands in for the ellipsoidal height everywhere.
+Sources: NIMA TR8350.2 (WGS-84; Somigliana eq. 4-1, gravity with height eq. 4-3); Bowring 1976.
+Theory: docs/theory/earth.md.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from mavins.nav.kernels import kernel
+from mavins.types import FloatArray, Origin
+
+SEMI_MAJOR: Final = 6378137.0
+FLATTENING: Final = 1.0 / 298.257223563
+SEMI_MINOR: Final = SEMI_MAJOR * (1.0 - FLATTENING)
+E2: Final = FLATTENING * (2.0 - FLATTENING)
+EP2: Final = E2 / (1.0 - E2)
+EARTH_RATE: Final = 7.292115e-5
+GM: Final = 3.986004418e14
+GRAVITY_EQUATOR: Final = 9.7803253359
+GRAVITY_POLE: Final = 9.8321849378
+SOMIGLIANA_K: Final = SEMI_MINOR * GRAVITY_POLE / (SEMI_MAJOR * GRAVITY_EQUATOR) - 1.0
+GRAVITY_M: Final = EARTH_RATE**2 * SEMI_MAJOR**2 * SEMI_MINOR / GM
+
+
+@kernel
+def lla_to_ecef(lat: float, lon: float, alt: float) -> FloatArray:
+    """The (3,) ECEF position in m of a geodetic position (rad, rad, m)."""
+    sin_lat, cos_lat = math.sin(lat), math.cos(lat)
+    N = SEMI_MAJOR / math.sqrt(1.0 - E2 * sin_lat * sin_lat)
+    r = np.empty(3)
+    r[0] = (N + alt) * cos_lat * math.cos(lon)
+    r[1] = (N + alt) * cos_lat * math.sin(lon)
+    r[2] = (N * (1.0 - E2) + alt) * sin_lat
+    return r
+
+
+@kernel
+def geodetic_direction(r_e: FloatArray) -> tuple[float, float, float]:
+    """(sin lat, cos lat, alt) of an ECEF position, by two rounds of Bowring's formula: exact to rounding below 100 km."""
+    d = math.sqrt(r_e[0] * r_e[0] + r_e[1] * r_e[1])
+    z = r_e[2]
+    sin_lat, cos_lat = 0.0, 1.0
+    tan_beta_n = z * SEMI_MAJOR
+    tan_beta_d = d * SEMI_MINOR
+    for _ in range(2):
+        n = math.sqrt(tan_beta_n * tan_beta_n + tan_beta_d * tan_beta_d)
+        sin_beta, cos_beta = tan_beta_n / n, tan_beta_d / n
+        sin_lat = z + EP2 * SEMI_MINOR * sin_beta**3
+        cos_lat = d - E2 * SEMI_MAJOR * cos_beta**3
+        n = math.sqrt(sin_lat * sin_lat + cos_lat * cos_lat)
+        sin_lat /= n
+        cos_lat /= n
+        tan_beta_n = (1.0 - FLATTENING) * sin_lat
+        tan_beta_d = cos_lat
+    # valid at the poles too, where d / cos(lat) is not
+    alt = d * cos_lat + z * sin_lat - SEMI_MAJOR * math.sqrt(1.0 - E2 * sin_lat * sin_lat)
+    return sin_lat, cos_lat, alt
+
+
+@kernel
+def ecef_to_lla(r_e: FloatArray) -> FloatArray:
+    """[lat, lon, alt] in rad, rad, m of an ECEF position."""
+    sin_lat, cos_lat, alt = geodetic_direction(r_e)
+    lla = np.empty(3)
+    lla[0] = math.atan2(sin_lat, cos_lat)
+    lla[1] = math.atan2(r_e[1], r_e[0])
+    lla[2] = alt
+    return lla
+
+
+@kernel
+def dcm_ne(lat: float, lon: float) -> FloatArray:
+    """C_ne (3, 3): takes ECEF to the NED axes at (lat, lon)."""
+    sin_lat, cos_lat = math.sin(lat), math.cos(lat)
+    sin_lon, cos_lon = math.sin(lon), math.cos(lon)
+    C = np.empty((3, 3))
+    C[0, 0] = -sin_lat * cos_lon
+    C[0, 1] = -sin_lat * sin_lon
+    C[0, 2] = cos_lat
+    C[1, 0] = -sin_lon
+    C[1, 1] = cos_lon
+    C[1, 2] = 0.0
+    C[2, 0] = -cos_lat * cos_lon
+    C[2, 1] = -cos_lat * sin_lon
+    C[2, 2] = -sin_lat
+    return C
+
+
+@kernel
+def normal_gravity(sin_lat: float, alt: float) -> float:
+    """Normal gravity in m/s^2 at a geodetic latitude and height (Somigliana; height to second order)."""
+    s2 = sin_lat * sin_lat
+    g0 = GRAVITY_EQUATOR * (1.0 + SOMIGLIANA_K * s2) / math.sqrt(1.0 - E2 * s2)
+    h = alt / SEMI_MAJOR
+    return g0 * (1.0 - 2.0 * (1.0 + FLATTENING + GRAVITY_M - 2.0 * FLATTENING * s2) * h + 3.0 * h * h)
+
+
+@kernel
+def ecef_of(p_n: FloatArray, r0_e: FloatArray, C_ne: FloatArray) -> FloatArray:
+    """The ECEF position of a point p_n of frame n: r0_e + C_en p_n."""
+    r = np.empty(3)
+    for i in range(3):
+        r[i] = r0_e[i] + C_ne[0, i] * p_n[0] + C_ne[1, i] * p_n[1] + C_ne[2, i] * p_n[2]
+    return r
+
+
+@kernel
+def gravity_n(p_n: FloatArray, r0_e: FloatArray, C_ne: FloatArray) -> FloatArray:
+    """g_n(p): normal gravity in m/s^2 at p_n, along the local plumb line, in the axes of n."""
+    r_e = ecef_of(p_n, r0_e, C_ne)
+    sin_lat, cos_lat, alt = geodetic_direction(r_e)
+    g = normal_gravity(sin_lat, alt)
+    d = math.sqrt(r_e[0] * r_e[0] + r_e[1] * r_e[1])
+    cos_lon = r_e[0] / d if d > 0.0 else 1.0
+    sin_lon = r_e[1] / d if d > 0.0 else 0.0
+    g_n = np.empty(3)
+    for i in range(3):
+        g_n[i] = -g * (
+            C_ne[i, 0] * cos_lat * cos_lon + C_ne[i, 1] * cos_lat * sin_lon + C_ne[i, 2] * sin_lat
+        )
+    return g_n
+
+
+@kernel
+def gravity_gradient(g_n: FloatArray) -> FloatArray:
+    """d g_n / d p_n (3, 3) in 1/s^2: -g/R across the plumb line, +2 g/R along it (spherical, right to 1 %)."""
+    g = math.sqrt(g_n[0] * g_n[0] + g_n[1] * g_n[1] + g_n[2] * g_n[2])
+    k = g / SEMI_MAJOR
+    G = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            G[i, j] = 3.0 * k * g_n[i] * g_n[j] / (g * g)
+        G[i, i] -= k
+    return G
+
+
+@dataclass(frozen=True, slots=True)
+class TangentFrame:
+    """Frame n: its origin, the origin's ECEF position `r0_e` (3,), `C_ne` (3, 3) and the Earth rate `w_ie_n` (3,)."""
+
+    origin: Origin
+    r0_e: FloatArray
+    C_ne: FloatArray
+    w_ie_n: FloatArray
+
+    @classmethod
+    def at(cls, origin: Origin) -> TangentFrame:
+        """The tangent frame at an origin."""
+        C_ne = dcm_ne(origin.lat, origin.lon)
+        w_ie_n = EARTH_RATE * np.ascontiguousarray(C_ne[:, 2])
+        return cls(origin, lla_to_ecef(origin.lat, origin.lon, origin.alt), C_ne, w_ie_n)
+
+    def from_lla(self, lat: float, lon: float, alt: float) -> FloatArray:
+        """p_n (3,) in m of a geodetic position; exact at any distance."""
+        return self.C_ne @ (lla_to_ecef(lat, lon, alt) - self.r0_e)
+
+    def to_lla(self, p_n: FloatArray) -> FloatArray:
+        """[lat, lon, alt] in rad, rad, m of a point p_n (3,)."""
+        return ecef_to_lla(self.r0_e + self.C_ne.T @ p_n)
+
+    def local_level(self, lat: float, lon: float) -> FloatArray:
+        """C_ln (3, 3): takes n to the local level frame at (lat, lon)."""
+        return dcm_ne(lat, lon) @ self.C_ne.T
