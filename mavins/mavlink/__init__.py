@@ -1,0 +1,1 @@
+"""MAVLink: the codec, the clock of a vehicle, and the session that speaks it; no sockets."""

@@ -1,0 +1,299 @@
+"""Bytes in, intact MAVLink packets out: a table of where each one lies and what was damaged between
+them.
+
+One kernel walks a buffer: a datagram, or a whole tlog. Packets of MAVLink 1 and 2 are found by
+their start byte, length and checksum (CRC-16/MCRF4XX over header, payload and the message's
+crc_extra); after damage the walk goes on byte by byte, so that an intact packet is never lost to a
+broken neighbour. Every buffer is walked from a clean state, so a truncated datagram cannot spoil
+the next one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavins.mavlink.codec.fields import WIRE
+from mavins.nav.kernels import kernel
+from mavins.types import IntArray
+
+Buffer: TypeAlias = "bytes | bytearray | memoryview | NDArray[np.uint8]"
+
+STX_V1: Final = 0xFE
+STX_V2: Final = 0xFD
+STAMP_LENGTH: Final = 8
+"""Bytes of a tlog before each packet: the reception in microseconds, big-endian."""
+_SIGNED: Final = 0x01
+_SIGNATURE_LENGTH: Final = 13
+
+_INTACT_PACKET: Final = 0
+_UNKNOWN: Final = 1
+_DAMAGED: Final = 2
+_TRUNCATED: Final = 3
+
+START, END, PAYLOAD, LENGTH, MSGID, SYSID, COMPID, SEQ, T_US = range(9)
+
+
+def _crc_table() -> NDArray[np.uint16]:
+    table = np.empty(256, np.uint16)
+    for byte in range(256):
+        crc = byte
+        for _ in range(8):
+            crc = crc >> 1 ^ (0x8408 if crc & 1 else 0)
+        table[byte] = crc
+    return table
+
+
+_CRC: Final = _crc_table()
+
+
+@dataclass(frozen=True, slots=True)
+class Damage:
+    """What a buffer held besides intact packets.
+
+    `bad_crc` and `truncated` count packets, `unknown` well-formed packets whose id the dialect
+    lacks (their checksum cannot be told), `skipped_bytes` all bytes outside of intact and unknown
+    packets.
+    """
+
+    bad_crc: int = 0
+    unknown: int = 0
+    skipped_bytes: int = 0
+    truncated: int = 0
+
+    def __bool__(self) -> bool:
+        return bool(self.bad_crc or self.unknown or self.skipped_bytes or self.truncated)
+
+
+_INTACT: Final = Damage()
+
+
+@dataclass(frozen=True, slots=True)
+class Frames:
+    """The N intact packets of a buffer, in order.
+
+    `data` is the buffer; the columns of `table` (9, N) are named by the properties. Offsets count
+    bytes of `data`; a packet is data[start:end], signature included; `t_us` is the reception stamp
+    of a tlog, else 0.
+    """
+
+    data: NDArray[np.uint8]
+    table: IntArray
+    damage: Damage
+
+    def __len__(self) -> int:
+        return len(self.table[0])
+
+    def _column(self, k: int) -> IntArray:
+        column: IntArray = self.table[k]
+        return column
+
+    @property
+    def start(self) -> IntArray:
+        """Where each packet starts, (N,)."""
+        return self._column(START)
+
+    @property
+    def end(self) -> IntArray:
+        """Where each packet ends, (N,)."""
+        return self._column(END)
+
+    @property
+    def payload(self) -> IntArray:
+        """Where each payload starts, (N,)."""
+        return self._column(PAYLOAD)
+
+    @property
+    def length(self) -> IntArray:
+        """Payload bytes on the wire, (N,); MAVLink 2 cuts trailing zeros off."""
+        return self._column(LENGTH)
+
+    @property
+    def msgid(self) -> IntArray:
+        """Message ids, (N,)."""
+        return self._column(MSGID)
+
+    @property
+    def sysid(self) -> IntArray:
+        """System ids of the senders, (N,)."""
+        return self._column(SYSID)
+
+    @property
+    def compid(self) -> IntArray:
+        """Component ids of the senders, (N,)."""
+        return self._column(COMPID)
+
+    @property
+    def seq(self) -> IntArray:
+        """Sequence numbers, (N,)."""
+        return self._column(SEQ)
+
+    @property
+    def t_us(self) -> IntArray:
+        """Reception stamps of a tlog in microseconds, (N,); 0 in a datagram."""
+        return self._column(T_US)
+
+    def packet(self, i: int) -> bytes:
+        """The bytes of packet i, as they came."""
+        return self.data[self.table[START, i] : self.table[END, i]].tobytes()
+
+    def body(self, i: int, size: int) -> bytes:
+        """The payload of packet i, cut or zero-padded to `size` bytes."""
+        start = self.table[PAYLOAD, i]
+        body = self.data[start : start + min(size, self.table[LENGTH, i])].tobytes()
+        return body.ljust(size, b"\0")
+
+    def select(self, chosen: NDArray[np.bool_] | IntArray) -> Frames:
+        """The packets picked by a mask or by indices, in the same buffer."""
+        return Frames(self.data, np.ascontiguousarray(self.table[:, chosen]), self.damage)
+
+
+def scan(data: Buffer) -> Frames:
+    """All intact packets of one datagram (or any other run of packets)."""
+    return _frames(data, 0)
+
+
+def scan_tlog(data: Buffer) -> Frames:
+    """All intact packets of a tlog, with the stamp in the 8 bytes before each one.
+
+    A packet whose stamp is cut off by damage takes the stamp of the packet before.
+    """
+    return _frames(data, STAMP_LENGTH)
+
+
+def _frames(data: Buffer, lead: int) -> Frames:
+    view = np.frombuffer(data, np.uint8)
+    if not isinstance(data, bytes):
+        # a kernel is compiled anew for each kind of argument: all buffers look read-only to it
+        view.flags.writeable = False
+    # room for the shortest packets; of a large table only the pages that are used take memory
+    table = np.empty((9, view.size // (lead + 8) + 1), np.int64)
+    count, bad_crc, unknown, skipped, truncated = _walk(view, lead, WIRE, table)
+    damage = Damage(bad_crc, unknown, skipped, truncated) if unknown or skipped else _INTACT
+    return Frames(view, table[:, :count].copy(), damage)
+
+
+@kernel
+def _checksum(data: NDArray[np.uint8], start: int, end: int, extra: int) -> int:
+    """CRC-16/MCRF4XX of data[start:end] and one extra byte."""
+    crc = np.uint32(0xFFFF)
+    for k in range(start, end):
+        crc = (crc >> np.uint32(8)) ^ _CRC[(crc ^ data[k]) & np.uint32(0xFF)]
+    crc = (crc >> np.uint32(8)) ^ _CRC[(crc ^ np.uint32(extra)) & np.uint32(0xFF)]
+    return int(crc)
+
+
+@kernel
+def _stamp(data: NDArray[np.uint8], start: int) -> int:
+    """The 8-byte big-endian stamp at `start`; the top bit is cleared so that it stays positive."""
+    t = np.int64(data[start] & 0x7F)
+    for k in range(start + 1, start + 8):
+        t = t << 8 | np.int64(data[k])
+    return int(t)
+
+
+@kernel
+def _header(data: NDArray[np.uint8], start: int, wire: IntArray, row: IntArray) -> int:
+    """Read the packet that may begin at `start` into `row` (9,): one of the verdicts above."""
+    size = data.size
+    stx = data[start]
+    header = 10 if stx == STX_V2 else 6
+    if start + header > size:
+        return _TRUNCATED
+    length = np.int64(data[start + 1])
+    at = start + (4 if stx == STX_V2 else 2)  # seq, sysid, compid, then the message id
+    msgid = np.int64(data[at + 3])
+    flags = np.int64(0)
+    if stx == STX_V2:
+        msgid |= np.int64(data[at + 4]) << 8 | np.int64(data[at + 5]) << 16
+        flags = np.int64(data[start + 2])
+    crc_at = start + header + length
+    end = crc_at + 2 + (_SIGNATURE_LENGTH if flags & _SIGNED else 0)
+    if end > size:
+        return _TRUNCATED
+    row[START] = start
+    row[END] = end
+    row[PAYLOAD] = start + header
+    row[LENGTH] = length
+    row[MSGID] = msgid
+    row[SYSID] = data[at + 1]
+    row[COMPID] = data[at + 2]
+    row[SEQ] = data[at]
+    if flags & ~_SIGNED != 0:
+        return _DAMAGED
+    known = wire[msgid] if msgid < wire.size else np.int64(-1)
+    if known < 0:
+        return _UNKNOWN
+    if stx == STX_V1 and (length < (known >> 8 & 0xFF) or length > known >> 16):
+        return _DAMAGED  # v1 neither cuts zeros off nor knows of longer versions
+    crc = _checksum(data, start + 1, int(crc_at), int(known) & 0xFF)
+    if data[crc_at] | np.int64(data[crc_at + 1]) << 8 != crc:
+        return _DAMAGED
+    return _INTACT_PACKET
+
+
+@kernel
+def _walk(
+    data: NDArray[np.uint8], lead: int, wire: IntArray, table: IntArray
+) -> tuple[int, int, int, int, int]:
+    """Fill `table` (9, capacity); `lead` bytes go before each packet.
+
+    Returns (packets, bad_crc, unknown, skipped_bytes, truncated).
+    """
+    size = data.size
+    row = np.zeros(9, np.int64)
+    count = bad_crc = unknown = skipped = truncated = 0
+    done = 0  # all before is accounted for
+    expected = (
+        0  # where a record begins if nothing is damaged: only there a failure counts as a packet
+    )
+    pos = 0
+    while pos + lead < size:
+        start = pos + lead
+        if data[start] != STX_V2 and data[start] != STX_V1:
+            pos += 1
+            continue
+        verdict = _header(data, start, wire, row)
+        if verdict == _TRUNCATED:
+            truncated += pos == expected
+            pos += 1
+            continue
+        end = row[END]
+        follows = end + lead
+        aligned = end == size or (
+            follows < size and (data[follows] == STX_V2 or data[follows] == STX_V1)
+        )
+        if verdict == _DAMAGED or (verdict == _UNKNOWN and not aligned):
+            if verdict == _DAMAGED and (pos == expected or aligned):
+                bad_crc += 1
+            if aligned:
+                expected = max(expected, end)
+            pos += 1
+            continue
+        # a stamp that overlaps the packet before was cut off: keep the stamp before
+        if pos >= done and lead > 0:
+            row[T_US] = _stamp(data, pos)
+        skipped += max(0, pos - done)
+        if verdict == _UNKNOWN:
+            unknown += 1
+        else:
+            for k in range(9):
+                table[k, count] = row[k]
+            count += 1
+        pos = expected = done = end
+    return count, bad_crc, unknown, skipped + size - done, truncated
+
+
+@kernel
+def gather(
+    data: NDArray[np.uint8], payload: IntArray, length: IntArray, size: int
+) -> NDArray[np.uint8]:
+    """The payloads at `payload` (N,), each cut or zero-padded to `size` bytes: (N, size)."""
+    rows = np.zeros((payload.size, size), np.uint8)
+    for i in range(payload.size):
+        for k in range(min(size, length[i])):
+            rows[i, k] = data[payload[i] + k]
+    return rows
