@@ -52,9 +52,10 @@ def build(cls: type[Settings], data: Any, source: str) -> Settings:
     from pydantic import ValidationError  # 0.1 s, which only those who load settings pay
 
     plain = _checked_keys(cls, data, source, ())
+    known: type = cls  # mypy does not see that a type[Settings] can be a key of the cache
     try:
         # As JSON, pydantic's strict mode still takes a list for a tuple and an integer for a float.
-        built: Settings = _adapter(cls).validate_json(json.dumps(plain), strict=True)
+        built: Settings = _adapter(known).validate_json(json.dumps(plain), strict=True)
     except ValidationError as errors:
         raise _explained(cls, errors.errors(include_url=False), source) from None
     return built
@@ -93,7 +94,7 @@ def _hints(cls: type) -> dict[str, Any]:
 
 
 @functools.cache
-def _adapter(cls: Any) -> TypeAdapter[Any]:
+def _adapter(cls: type) -> TypeAdapter[Any]:
     from pydantic import TypeAdapter
 
     return TypeAdapter(cls)

@@ -81,7 +81,7 @@ def read(path: Path) -> Any:
 
 
 def scalar(value: object) -> str:
-    """Write a value so that `parse` reads it back: null, boolean, number, text or a list of them."""
+    """Write a value so that `parse` reads it back: null, boolean, number, text or list of them."""
     if isinstance(value, list | tuple):
         return f"[{', '.join(scalar(item) for item in value)}]"
     if value is None:

@@ -1,8 +1,9 @@
 """The frame of the command line: find the command, parse, run, and turn errors into one clear line.
 
-A command is a module with `SUMMARY`, `EPILOG`, `add_arguments(parser)` and `run(args) -> int`, and one
-line in `COMMANDS`. Only the module of the command asked for is imported, so that `--help` and
-`--version` answer at once and an optional dependency stays optional.
+A command is a module with `SUMMARY`, `EPILOG`, `add_arguments(parser)` and `run(args) -> int`, and
+one line in `COMMANDS`. Only the module of the command asked for is imported, so that `--help` and
+`--version` answer at once and an optional dependency stays optional. `args.verbosity` is -1 for
+`-q`, 0, 1 for `-v`, 2 for `-vv`.
 """
 
 from __future__ import annotations
@@ -73,7 +74,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return EXIT_INTERRUPTED
     except BrokenPipeError:
-        # Whoever read our output has gone; the interpreter's own last flush must not complain either.
+        # Whoever read our output has gone; the interpreter's last flush must not complain either.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_BROKEN_PIPE
     except ModuleNotFoundError as error:
@@ -130,7 +131,7 @@ def _parser(chosen: str | None, command: Command | None) -> argparse.ArgumentPar
 
 
 def _add_verbosity(parser: argparse.ArgumentParser, suffix: str) -> None:
-    """Add -v and -q; before and after the command they count apart, since argparse would forget one."""
+    """Add -v and -q; before and after the command they count apart: argparse would forget one."""
     for flag, name, text in (
         ("-v", "verbose", "say more on stderr (twice: still more)"),
         ("-q", "quiet", "say less: no progress, errors only"),

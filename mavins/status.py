@@ -1,0 +1,126 @@
+"""What the live status shows, as frozen data, and its way into one line of JSON and back.
+
+The service fills a `StatusSnapshot` about once a second; `mavins.cli.status` shows it, and
+`mavins demo` reads it back from the JSON lines of a service in another process. SI and radians, but
+for the latitude and longitude, which people read.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any, TypeAlias
+
+Vector: TypeAlias = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class AidingStatus:
+    """How one aiding fares: `rejected` counts by reason; the innovation statistics judge R.
+
+    `nis_mean` is the mean normalized innovation squared, `nis_expected` its degrees of freedom;
+    `sigma_ratio`, the root of their ratio, is above 1 where the measurements scatter more than
+    their sigmas say. None: no sample yet.
+    """
+
+    fused: int = 0
+    rejected: Mapping[str, int] = field(default_factory=dict)
+    nis_mean: float | None = None
+    nis_expected: float | None = None
+    sigma_ratio: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class EstimateStatus:
+    """The estimate and its 1-sigma: p in n, v in l, attitude = (roll, pitch, yaw) in l."""
+
+    lat_deg: float
+    lon_deg: float
+    alt: float
+    p_n: Vector
+    sd_p: Vector
+    v_l: Vector
+    sd_v: Vector
+    attitude: Vector
+    sd_attitude: Vector
+
+
+@dataclass(frozen=True, slots=True)
+class TruthError:
+    """Estimate minus the simulator's truth at one instant; `att` is (roll, pitch, yaw), wrapped."""
+
+    pos: Vector
+    vel: Vector
+    att: Vector
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleStatus:
+    """One vehicle: `health` is a `Health` name in lower case, `rates` are Hz by sensor."""
+
+    sysid: int
+    health: str
+    reason: str
+    t_us: int
+    estimate: EstimateStatus | None = None
+    rates: Mapping[str, float] = field(default_factory=dict)
+    aidings: Mapping[str, AidingStatus] = field(default_factory=dict)
+    reset_counter: int = 0
+    error: TruthError | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class StatusSnapshot:
+    """The service at one instant: `uptime` in s; `dropped` counts what was not used, by reason."""
+
+    uptime: float
+    peers: int
+    packets_in: int
+    packets_out: int
+    dropped: Mapping[str, int] = field(default_factory=dict)
+    vehicles: tuple[VehicleStatus, ...] = ()
+
+
+def to_json(snapshot: StatusSnapshot) -> str:
+    """One line of JSON; a number that is not finite becomes null."""
+    return json.dumps(_finite(asdict(snapshot)), allow_nan=False, separators=(",", ":"))
+
+
+def from_json(line: str) -> StatusSnapshot:
+    """The snapshot that `to_json` wrote; a null among numbers is NaN again. ValueError: not one."""
+    try:
+        data = json.loads(line)
+        vehicles = tuple(_vehicle(item) for item in data.pop("vehicles"))
+        return StatusSnapshot(**data, vehicles=vehicles)
+    except (TypeError, KeyError, AttributeError) as error:
+        raise ValueError(f"not a status line: {error}") from None
+
+
+def _vehicle(data: dict[str, Any]) -> VehicleStatus:
+    estimate, error, aidings = data.pop("estimate"), data.pop("error"), data.pop("aidings")
+    return VehicleStatus(
+        **data,
+        estimate=EstimateStatus(**_numbers(estimate)) if estimate else None,
+        error=TruthError(**_numbers(error)) if error else None,
+        aidings={name: AidingStatus(**aiding) for name, aiding in aidings.items()},
+    )
+
+
+def _numbers(data: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: _number(value) for name, value in data.items()}
+
+
+def _number(value: Any) -> Any:
+    if isinstance(value, list):
+        return tuple(_number(item) for item in value)
+    return math.nan if value is None else value
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(key): _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
