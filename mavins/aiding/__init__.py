@@ -1,0 +1,14 @@
+"""The aidings: one file per measurement, one line here each."""
+
+from typing import Final
+
+from mavins.aiding.base import Measurement, Model
+
+REGISTRY: Final = {
+    "gnss_position": "mavins.aiding.gnss_position:model",
+    "gnss_velocity": "mavins.aiding.gnss_velocity:model",
+    "heading": "mavins.aiding.heading:model",
+    "zero_velocity": "mavins.aiding.zero_velocity:model",
+}
+
+__all__ = ["REGISTRY", "Measurement", "Model"]

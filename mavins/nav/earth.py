@@ -44,18 +44,17 @@ def lla_to_ecef(lat: float, lon: float, alt: float) -> FloatArray:
 
 
 @kernel
-def geodetic_direction(r_e: FloatArray) -> tuple[float, float, float]:
-    """(sin lat, cos lat, alt) of an ECEF position, by two rounds of Bowring's formula: exact to rounding below 100 km."""
-    d = math.sqrt(r_e[0] * r_e[0] + r_e[1] * r_e[1])
-    z = r_e[2]
+def geodetic_direction(x: float, y: float, z: float) -> tuple[float, float, float]:
+    """(sin lat, cos lat, alt) of the ECEF position (x, y, z), by two rounds of Bowring's formula: exact to rounding below 100 km."""
+    d = math.sqrt(x * x + y * y)
     sin_lat, cos_lat = 0.0, 1.0
     tan_beta_n = z * SEMI_MAJOR
     tan_beta_d = d * SEMI_MINOR
     for _ in range(2):
         n = math.sqrt(tan_beta_n * tan_beta_n + tan_beta_d * tan_beta_d)
         sin_beta, cos_beta = tan_beta_n / n, tan_beta_d / n
-        sin_lat = z + EP2 * SEMI_MINOR * sin_beta**3
-        cos_lat = d - E2 * SEMI_MAJOR * cos_beta**3
+        sin_lat = z + EP2 * SEMI_MINOR * sin_beta * sin_beta * sin_beta
+        cos_lat = d - E2 * SEMI_MAJOR * cos_beta * cos_beta * cos_beta
         n = math.sqrt(sin_lat * sin_lat + cos_lat * cos_lat)
         sin_lat /= n
         cos_lat /= n
@@ -69,7 +68,7 @@ def geodetic_direction(r_e: FloatArray) -> tuple[float, float, float]:
 @kernel
 def ecef_to_lla(r_e: FloatArray) -> FloatArray:
     """[lat, lon, alt] in rad, rad, m of an ECEF position."""
-    sin_lat, cos_lat, alt = geodetic_direction(r_e)
+    sin_lat, cos_lat, alt = geodetic_direction(r_e[0], r_e[1], r_e[2])
     lla = np.empty(3)
     lla[0] = math.atan2(sin_lat, cos_lat)
     lla[1] = math.atan2(r_e[1], r_e[0])
@@ -105,42 +104,45 @@ def normal_gravity(sin_lat: float, alt: float) -> float:
 
 
 @kernel
-def ecef_of(p_n: FloatArray, r0_e: FloatArray, C_ne: FloatArray) -> FloatArray:
-    """The ECEF position of a point p_n of frame n: r0_e + C_en p_n."""
-    r = np.empty(3)
-    for i in range(3):
-        r[i] = r0_e[i] + C_ne[0, i] * p_n[0] + C_ne[1, i] * p_n[1] + C_ne[2, i] * p_n[2]
-    return r
+def gravity_at(
+    p0: float, p1: float, p2: float, r0_e: FloatArray, C_ne: FloatArray
+) -> tuple[float, float, float]:
+    """`gravity_n` on a tuple's worth of floats, for the hot kernels."""
+    x = r0_e[0] + C_ne[0, 0] * p0 + C_ne[1, 0] * p1 + C_ne[2, 0] * p2
+    y = r0_e[1] + C_ne[0, 1] * p0 + C_ne[1, 1] * p1 + C_ne[2, 1] * p2
+    z = r0_e[2] + C_ne[0, 2] * p0 + C_ne[1, 2] * p1 + C_ne[2, 2] * p2
+    sin_lat, cos_lat, alt = geodetic_direction(x, y, z)
+    g = normal_gravity(sin_lat, alt)
+    d = math.sqrt(x * x + y * y)
+    # the plumb line's upward direction in e; at a pole its horizontal part vanishes with cos(lat)
+    k = g * cos_lat / d if d > 0.0 else 0.0
+    u0, u1, u2 = k * x, k * y, g * sin_lat
+    return (
+        -(C_ne[0, 0] * u0 + C_ne[0, 1] * u1 + C_ne[0, 2] * u2),
+        -(C_ne[1, 0] * u0 + C_ne[1, 1] * u1 + C_ne[1, 2] * u2),
+        -(C_ne[2, 0] * u0 + C_ne[2, 1] * u1 + C_ne[2, 2] * u2),
+    )
 
 
 @kernel
 def gravity_n(p_n: FloatArray, r0_e: FloatArray, C_ne: FloatArray) -> FloatArray:
-    """g_n(p): normal gravity in m/s^2 at p_n, along the local plumb line, in the axes of n."""
-    r_e = ecef_of(p_n, r0_e, C_ne)
-    sin_lat, cos_lat, alt = geodetic_direction(r_e)
-    g = normal_gravity(sin_lat, alt)
-    d = math.sqrt(r_e[0] * r_e[0] + r_e[1] * r_e[1])
-    cos_lon = r_e[0] / d if d > 0.0 else 1.0
-    sin_lon = r_e[1] / d if d > 0.0 else 0.0
-    g_n = np.empty(3)
-    for i in range(3):
-        g_n[i] = -g * (
-            C_ne[i, 0] * cos_lat * cos_lon + C_ne[i, 1] * cos_lat * sin_lon + C_ne[i, 2] * sin_lat
-        )
-    return g_n
+    """g_n(p): normal gravity in m/s^2 at p_n (3,), along the local plumb line, in the axes of n."""
+    return np.array(gravity_at(p_n[0], p_n[1], p_n[2], r0_e, C_ne))
 
 
 @kernel
-def gravity_gradient(g_n: FloatArray) -> FloatArray:
-    """d g_n / d p_n (3, 3) in 1/s^2: -g/R across the plumb line, +2 g/R along it (spherical, right to 1 %)."""
-    g = math.sqrt(g_n[0] * g_n[0] + g_n[1] * g_n[1] + g_n[2] * g_n[2])
+def write_gravity_gradient(G: FloatArray, g0: float, g1: float, g2: float) -> None:
+    """G <- d g_n / d p_n in 1/s^2, in place: -g/R across the plumb line, +2 g/R along it (spherical, right to 1 %)."""
+    g_sq = g0 * g0 + g1 * g1 + g2 * g2
+    g = math.sqrt(g_sq)
     k = g / SEMI_MAJOR
-    G = np.empty((3, 3))
-    for i in range(3):
-        for j in range(3):
-            G[i, j] = 3.0 * k * g_n[i] * g_n[j] / (g * g)
-        G[i, i] -= k
-    return G
+    c = 3.0 * k / g_sq
+    G[0, 0] = c * g0 * g0 - k
+    G[0, 1] = G[1, 0] = c * g0 * g1
+    G[0, 2] = G[2, 0] = c * g0 * g2
+    G[1, 1] = c * g1 * g1 - k
+    G[1, 2] = G[2, 1] = c * g1 * g2
+    G[2, 2] = c * g2 * g2 - k
 
 
 @dataclass(frozen=True, slots=True)

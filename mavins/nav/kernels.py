@@ -79,13 +79,13 @@ CACHE: Final = _writable_cache()
 def kernel(function: F) -> F:
     """Compile `function` with numba on its first call and keep the result on disk."""
     if CACHE is None:
-        return cast(F, numba.njit(function))
+        return cast(F, numba.njit(error_model="numpy")(function))
     # numba reads its cache folder while it decorates; putting the setting back leaves other users of
     # numba in this process alone.
     before = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = str(CACHE)
     try:
-        return cast(F, numba.njit(cache=True)(function))
+        return cast(F, numba.njit(cache=True, error_model="numpy")(function))
     finally:
         numba.config.CACHE_DIR = before
 

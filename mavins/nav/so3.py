@@ -9,11 +9,14 @@ Theory: docs/theory/attitude.md.
 from __future__ import annotations
 
 import math
+from typing import TypeAlias
 
 import numpy as np
 
 from mavins.nav.kernels import kernel
 from mavins.types import FloatArray
+
+Quaternion: TypeAlias = tuple[float, float, float, float]
 
 
 @kernel
@@ -40,14 +43,20 @@ def cross(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 @kernel
+def product(p: Quaternion, q: Quaternion) -> Quaternion:
+    """`quat_mul` on tuples: the hot kernels use it because a tuple needs no memory of its own."""
+    return (
+        p[0] * q[0] - p[1] * q[1] - p[2] * q[2] - p[3] * q[3],
+        p[0] * q[1] + p[1] * q[0] + p[2] * q[3] - p[3] * q[2],
+        p[0] * q[2] - p[1] * q[3] + p[2] * q[0] + p[3] * q[1],
+        p[0] * q[3] + p[1] * q[2] - p[2] * q[1] + p[3] * q[0],
+    )
+
+
+@kernel
 def quat_mul(p: FloatArray, q: FloatArray) -> FloatArray:
     """The Hamilton product p (x) q (Sola eq. 12)."""
-    r = np.empty(4)
-    r[0] = p[0] * q[0] - p[1] * q[1] - p[2] * q[2] - p[3] * q[3]
-    r[1] = p[0] * q[1] + p[1] * q[0] + p[2] * q[3] - p[3] * q[2]
-    r[2] = p[0] * q[2] - p[1] * q[3] + p[2] * q[0] + p[3] * q[1]
-    r[3] = p[0] * q[3] + p[1] * q[2] - p[2] * q[1] + p[3] * q[0]
-    return r
+    return np.array(product((p[0], p[1], p[2], p[3]), (q[0], q[1], q[2], q[3])))
 
 
 @kernel
@@ -68,21 +77,23 @@ def quat_normalize(q: FloatArray) -> FloatArray:
 
 
 @kernel
-def quat_exp(phi: FloatArray) -> FloatArray:
-    """Exp(phi): the unit quaternion of a rotation vector (Sola eq. 101), by series below 1e-4 rad."""
-    a2 = phi[0] * phi[0] + phi[1] * phi[1] + phi[2] * phi[2]
-    q = np.empty(4)
+def exponential(x: float, y: float, z: float) -> Quaternion:
+    """`quat_exp` on a tuple's worth of floats."""
+    a2 = x * x + y * y + z * z
     if a2 < 1e-8:
         s = 0.5 - a2 / 48.0
-        q[0] = 1.0 - a2 / 8.0 + a2 * a2 / 384.0
+        w = 1.0 - a2 / 8.0 + a2 * a2 / 384.0
     else:
         a = math.sqrt(a2)
         s = math.sin(0.5 * a) / a
-        q[0] = math.cos(0.5 * a)
-    q[1] = s * phi[0]
-    q[2] = s * phi[1]
-    q[3] = s * phi[2]
-    return q
+        w = math.cos(0.5 * a)
+    return (w, s * x, s * y, s * z)
+
+
+@kernel
+def quat_exp(phi: FloatArray) -> FloatArray:
+    """Exp(phi): the unit quaternion of a rotation vector (Sola eq. 101), by series below 1e-4 rad."""
+    return np.array(exponential(phi[0], phi[1], phi[2]))
 
 
 @kernel
@@ -100,10 +111,9 @@ def quat_log(q: FloatArray) -> FloatArray:
 
 
 @kernel
-def quat_to_dcm(q: FloatArray) -> FloatArray:
-    """C(q), the (3, 3) direction cosine matrix of a unit quaternion (Sola eq. 115)."""
+def write_dcm(C: FloatArray, q: Quaternion) -> None:
+    """C <- C(q), in place, for a unit quaternion (Sola eq. 115)."""
     w, x, y, z = q[0], q[1], q[2], q[3]
-    C = np.empty((3, 3))
     C[0, 0] = w * w + x * x - y * y - z * z
     C[0, 1] = 2.0 * (x * y - w * z)
     C[0, 2] = 2.0 * (x * z + w * y)
@@ -113,6 +123,13 @@ def quat_to_dcm(q: FloatArray) -> FloatArray:
     C[2, 0] = 2.0 * (x * z - w * y)
     C[2, 1] = 2.0 * (y * z + w * x)
     C[2, 2] = w * w - x * x - y * y + z * z
+
+
+@kernel
+def quat_to_dcm(q: FloatArray) -> FloatArray:
+    """C(q), the (3, 3) direction cosine matrix of a unit quaternion."""
+    C = np.empty((3, 3))
+    write_dcm(C, (q[0], q[1], q[2], q[3]))
     return C
 
 
@@ -191,10 +208,9 @@ def euler_jacobian(roll: float, pitch: float) -> FloatArray:
 
 
 @kernel
-def right_jacobian(phi: FloatArray) -> FloatArray:
-    """Jr(phi) with Exp(phi + d) ~ Exp(phi) Exp(Jr d) (Sola eq. 183)."""
-    a2 = phi[0] * phi[0] + phi[1] * phi[1] + phi[2] * phi[2]
-    S = skew(phi)
+def write_right_jacobian(J: FloatArray, x: float, y: float, z: float) -> None:
+    """J <- Jr(phi), in place, for phi = (x, y, z): I - c1 [phi]x + c2 [phi]x^2 (Sola eq. 183)."""
+    a2 = x * x + y * y + z * z
     if a2 < 1e-8:
         c1 = 0.5 - a2 / 24.0
         c2 = 1.0 / 6.0 - a2 / 120.0
@@ -202,7 +218,23 @@ def right_jacobian(phi: FloatArray) -> FloatArray:
         a = math.sqrt(a2)
         c1 = (1.0 - math.cos(a)) / a2
         c2 = (a - math.sin(a)) / (a2 * a)
-    return np.eye(3) - c1 * S + c2 * (S @ S)
+    J[0, 0] = 1.0 - c2 * (y * y + z * z)
+    J[0, 1] = c1 * z + c2 * x * y
+    J[0, 2] = -c1 * y + c2 * x * z
+    J[1, 0] = -c1 * z + c2 * x * y
+    J[1, 1] = 1.0 - c2 * (x * x + z * z)
+    J[1, 2] = c1 * x + c2 * y * z
+    J[2, 0] = c1 * y + c2 * x * z
+    J[2, 1] = -c1 * x + c2 * y * z
+    J[2, 2] = 1.0 - c2 * (x * x + y * y)
+
+
+@kernel
+def right_jacobian(phi: FloatArray) -> FloatArray:
+    """Jr(phi) (3, 3) with Exp(phi + d) ~ Exp(phi) Exp(Jr d)."""
+    J = np.empty((3, 3))
+    write_right_jacobian(J, phi[0], phi[1], phi[2])
+    return J
 
 
 @kernel

@@ -1,0 +1,71 @@
+"""GNSS position: the antenna's place in n.
+
+    h = p_n + C_nb l_b,   H_p = I,   H_theta = -C_nb [l_b]x,   H_l = C_nb,   H_tau = -(v_n + C_nb [w]x l_b)
+
+Source: Groves (2013), section 14.3. Theory: docs/theory/gnss.md.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mavins.aiding.base import Measurement
+from mavins.nav.earth import TangentFrame
+from mavins.nav.kernels import kernel
+from mavins.nav.layout import CANONICAL_SIZE
+from mavins.nav.so3 import cross, quat_to_dcm, skew
+from mavins.types import FloatArray, GnssFix
+
+NAME = "gnss_position"
+RANK = 0
+
+
+@kernel
+def model(
+    x: FloatArray, u: FloatArray, z: FloatArray, parameters: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Residual (3,) in m in n and Jacobian (3, 19); `parameters` is not used."""
+    C = quat_to_dcm(x[6:10])
+    lever = x[16:19]
+    arm = np.empty(3)
+    w_x_l = cross(u[0:3] - x[10:13], lever)
+    r = np.empty(3)
+    H = np.zeros((3, CANONICAL_SIZE))
+    C_l = skew(lever)
+    for i in range(3):
+        arm[i] = C[i, 0] * lever[0] + C[i, 1] * lever[1] + C[i, 2] * lever[2]
+        r[i] = z[i] - x[i] - arm[i]
+        H[i, i] = 1.0
+        swing = C[i, 0] * w_x_l[0] + C[i, 1] * w_x_l[1] + C[i, 2] * w_x_l[2]
+        H[i, 18] = -(x[3 + i] + swing)
+        for j in range(3):
+            H[i, 6 + j] = -(C[i, 0] * C_l[0, j] + C[i, 1] * C_l[1, j] + C[i, 2] * C_l[2, j])
+            H[i, 15 + j] = C[i, j]
+    return r, H
+
+
+def measure(
+    fix: GnssFix,
+    t_us: int,
+    frame: TangentFrame,
+    sigma_h: float,
+    sigma_v: float,
+    gate: float,
+    quality: str = "",
+) -> Measurement:
+    """The position of a fix valid at `t_us`, with 1-sigma noises in m along the local horizontal and vertical."""
+    C_nl = frame.local_level(fix.lat, fix.lon).T
+    R = C_nl @ np.diag([sigma_h**2, sigma_h**2, sigma_v**2]) @ C_nl.T
+    return Measurement(
+        NAME,
+        RANK,
+        fix.source,
+        fix.t_us,
+        t_us,
+        frame.from_lla(fix.lat, fix.lon, fix.alt),
+        0.5 * (R + R.T),
+        np.empty(0),
+        model,
+        gate,
+        quality,
+    )

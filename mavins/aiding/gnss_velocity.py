@@ -1,0 +1,87 @@
+"""GNSS velocity of the antenna in the local level frame, with or without its vertical component.
+
+    h = S C_ln (v_n + C_nb [w]x l_b),   w = w_b - b_g,   S the measured rows (north and east, or all three)
+    H_v = S C_ln,   H_theta = -S C_ln C_nb [w x l_b]x,   H_bg = S C_ln C_nb [l_b]x,   H_l = S C_ln C_nb [w]x,
+    H_tau = -S C_ln (v' + d/dt (C_nb [w]x l_b)) with v' ~ C_nb (f_b - b_a) + g_n and d/dt(..) ~ C_nb [w]x [w]x l_b
+
+Source: Groves (2013), section 14.3. Theory: docs/theory/gnss.md.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from mavins.aiding.base import Measurement
+from mavins.nav.earth import TangentFrame, gravity_n
+from mavins.nav.kernels import kernel
+from mavins.nav.layout import CANONICAL_SIZE
+from mavins.nav.so3 import cross, quat_to_dcm, skew
+from mavins.types import FloatArray, GnssFix
+
+NAME = "gnss_velocity"
+RANK = 1
+
+
+@kernel
+def model(
+    x: FloatArray, u: FloatArray, z: FloatArray, parameters: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Residual (m,) in m/s in l and Jacobian (m, 19), m = 2 or 3.
+
+    `parameters` is C_ln at the fix (9, row-major), then g_n there (3).
+    """
+    m = len(z)
+    S = parameters[:9].reshape(3, 3)
+    C = quat_to_dcm(x[6:10])
+    lever = x[16:19]
+    w = u[0:3] - x[10:13]
+    swing_b = cross(w, lever)
+    SC = S @ C
+    acceleration = C @ (u[3:6] - x[13:16] + cross(w, swing_b)) + parameters[9:12]
+    d_theta = -SC @ skew(swing_b)
+    d_bias = SC @ skew(lever)
+    d_lever = SC @ skew(w)
+    h = S @ x[3:6] + SC @ swing_b
+    d_tau = S @ acceleration
+    r = np.empty(m)
+    H = np.zeros((m, CANONICAL_SIZE))
+    for i in range(m):
+        r[i] = z[i] - h[i]
+        H[i, 18] = -d_tau[i]
+        for j in range(3):
+            H[i, 3 + j] = S[i, j]
+            H[i, 6 + j] = d_theta[i, j]
+            H[i, 9 + j] = d_bias[i, j]
+            H[i, 15 + j] = d_lever[i, j]
+    return r, H
+
+
+def measure(
+    fix: GnssFix,
+    t_us: int,
+    frame: TangentFrame,
+    sigma: float,
+    gate: float,
+    quality: str = "",
+) -> Measurement | None:
+    """The velocity of a fix valid at `t_us`, with an isotropic 1-sigma noise in m/s; None where the fix has none."""
+    if fix.v_l is None or math.isnan(fix.v_l[0]) or math.isnan(fix.v_l[1]):
+        return None
+    m = 2 if math.isnan(fix.v_l[2]) else 3
+    C_ln = frame.local_level(fix.lat, fix.lon)
+    g_n = gravity_n(frame.from_lla(fix.lat, fix.lon, fix.alt), frame.r0_e, frame.C_ne)
+    return Measurement(
+        NAME,
+        RANK,
+        fix.source,
+        fix.t_us,
+        t_us,
+        np.array(fix.v_l[:m]),
+        np.eye(m) * sigma**2,
+        np.concatenate([C_ln.ravel(), g_n]),
+        model,
+        gate,
+        quality,
+    )

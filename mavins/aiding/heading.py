@@ -1,0 +1,53 @@
+"""Heading: the yaw of the body's forward axis in the local level frame.
+
+    h = yaw(C_lb),   H_theta = [0, sin(roll)/cos(pitch), cos(roll)/cos(pitch)],   residual wrapped to (-pi, pi]
+
+Source: Sola (2017), section 4 with the Z-Y-X kinematic matrix. Theory: docs/theory/heading.md.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mavins.aiding.base import Measurement
+from mavins.nav.kernels import kernel
+from mavins.nav.layout import CANONICAL_SIZE
+from mavins.nav.so3 import euler_jacobian, quat_mul, quat_to_euler, wrap_pi
+from mavins.types import FloatArray, HeadingFix
+
+NAME = "heading"
+RANK = 2
+
+
+@kernel
+def model(
+    x: FloatArray, u: FloatArray, z: FloatArray, parameters: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Residual (1,) in rad and Jacobian (1, 19); `parameters` is q_ln (4,), from n to the local level frame."""
+    euler = quat_to_euler(quat_mul(parameters, x[6:10]))
+    E = euler_jacobian(euler[0], euler[1])
+    r = np.empty(1)
+    r[0] = wrap_pi(z[0] - euler[2])
+    H = np.zeros((1, CANONICAL_SIZE))
+    for j in range(3):
+        H[0, 6 + j] = E[2, j]
+    return r, H
+
+
+def measure(
+    fix: HeadingFix, t_us: int, q_ln: FloatArray, sigma: float, gate: float, quality: str = ""
+) -> Measurement:
+    """A heading valid at `t_us` with a 1-sigma noise in rad."""
+    return Measurement(
+        NAME,
+        RANK,
+        fix.source,
+        fix.t_us,
+        t_us,
+        np.array([fix.yaw]),
+        np.array([[sigma**2]]),
+        q_ln,
+        model,
+        gate,
+        quality,
+    )

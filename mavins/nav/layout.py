@@ -1,0 +1,106 @@
+"""The state of every filter: a nominal array `x`, and which error states a covariance is over.
+
+The nominal state is one contiguous array with a fixed place for each quantity:
+
+    x = [p_n (3) | v_n (3) | q_nb (4) | b_g (3) | b_a (3) | l_b (3) | tau (1)]
+
+The canonical errors are additive, except the attitude, which is local: q_true = q (x) Exp(theta_b). A `Layout`
+says which of their blocks a filter has, and where; blocks it does not have keep their nominal value.
+Theory: docs/theory/error_state.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from mavins.nav.kernels import kernel
+from mavins.nav.so3 import quat_conj, quat_exp, quat_log, quat_mul, quat_normalize
+from mavins.types import FloatArray, IntArray
+
+X_P: Final = slice(0, 3)
+X_V: Final = slice(3, 6)
+X_Q: Final = slice(6, 10)
+X_BG: Final = slice(10, 13)
+X_BA: Final = slice(13, 16)
+X_L: Final = slice(16, 19)
+X_TAU: Final = 19
+X_SIZE: Final = 20
+"""Places in the nominal state array."""
+
+P_N: Final = slice(0, 3)
+V_N: Final = slice(3, 6)
+THETA_B: Final = slice(6, 9)
+B_G: Final = slice(9, 12)
+B_A: Final = slice(12, 15)
+L_B: Final = slice(15, 18)
+TAU: Final = slice(18, 19)
+CANONICAL_SIZE: Final = 19
+"""Places among the canonical errors, which are the columns of every aiding Jacobian."""
+
+BLOCKS: Final = {
+    "p_n": P_N,
+    "v_n": V_N,
+    "theta_b": THETA_B,
+    "b_g": B_G,
+    "b_a": B_A,
+    "l_b": L_B,
+    "tau": TAU,
+}
+CORE: Final = ("p_n", "v_n", "theta_b", "b_g", "b_a")
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Which error blocks a filter has. `columns[i]` is the canonical index of its i-th error state."""
+
+    blocks: tuple[str, ...]
+    columns: IntArray
+
+    @classmethod
+    def of(cls, blocks: Iterable[str] = CORE) -> Layout:
+        """The layout with the given blocks, which must begin with the 15 core states."""
+        names = tuple(blocks)
+        if names[: len(CORE)] != CORE or len(set(names)) != len(names):
+            raise ValueError(f"a layout begins with {CORE} and names each block once, not {names}")
+        columns = [i for name in names for i in range(BLOCKS[name].start, BLOCKS[name].stop)]
+        return cls(names, np.array(columns, dtype=np.int64))
+
+    @property
+    def size(self) -> int:
+        """The number of error states."""
+        return len(self.columns)
+
+
+@kernel
+def boxplus(x: FloatArray, d: FloatArray, columns: IntArray) -> None:
+    """X <- x [+] d, in place: the errors `d` of the layout with `columns` are added to the nominal state."""
+    theta = np.zeros(3)
+    for i in range(len(columns)):
+        c = columns[i]
+        if c < 6:
+            x[c] += d[i]
+        elif c < 9:
+            theta[c - 6] = d[i]
+        else:
+            x[c + 1] += d[i]
+    x[6:10] = quat_normalize(quat_mul(x[6:10], quat_exp(theta)))
+
+
+@kernel
+def boxminus(a: FloatArray, b: FloatArray, columns: IntArray) -> FloatArray:
+    """A [-] b: the errors d of the layout with b [+] d = a."""
+    theta = quat_log(quat_mul(quat_conj(b[6:10]), a[6:10]))
+    d = np.empty(len(columns))
+    for i in range(len(columns)):
+        c = columns[i]
+        if c < 6:
+            d[i] = a[c] - b[c]
+        elif c < 9:
+            d[i] = theta[c - 6]
+        else:
+            d[i] = a[c + 1] - b[c + 1]
+    return d
