@@ -1,0 +1,54 @@
+"""What all tests share: where the recordings lie, and that CI does not skip for want of them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Generator
+from pathlib import Path
+
+import pytest
+
+SHARED = Path(os.environ.get("MAVINS_SHARED") or Path(__file__).resolve().parents[2] / "shared")
+"""The folder of recordings and data beside the repository, or wherever MAVINS_SHARED says."""
+
+REQUIRED = os.environ.get("MAVINS_REQUIRE_SHARED") == "1"
+
+_WANTING = ("shared", "client", "mavsdk")
+"""Words in the reason of a skip that tell that something from outside the repository is missing."""
+
+
+@pytest.fixture(scope="session")
+def shared() -> Callable[[str], Path]:
+    """Return the path of a file of the shared folder; the test is skipped where it is absent."""
+
+    def find(name: str) -> Path:
+        path = SHARED / name
+        if not path.exists():
+            pytest.skip(f"shared/{name} is absent (MAVINS_SHARED names another folder)")
+        return path
+
+    return find
+
+
+def _no_excuse(report: pytest.TestReport | pytest.CollectReport) -> None:
+    """Turn a skip for want of ../shared or an outside client into a failure, where CI says so."""
+    if not (REQUIRED and report.skipped and isinstance(report.longrepr, tuple)):
+        return
+    reason = report.longrepr[2]
+    if any(word in reason.lower() for word in _WANTING):
+        report.outcome = "failed"
+        report.longrepr = f"MAVINS_REQUIRE_SHARED=1 does not allow this skip: {reason}"
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    report = yield
+    _no_excuse(report)
+    return report
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report() -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
+    report = yield
+    _no_excuse(report)
+    return report
