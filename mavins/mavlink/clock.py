@@ -113,8 +113,8 @@ class Clock:
         t_us = np.empty(len(stamp_us), np.int64)
         verdict = np.empty(len(stamp_us), np.int64)
         before = np.empty(len(stamp_us), np.int64)
-        dropped = _map_rows(self._state, stamp_us, received_us, wraps, t_us, verdict, before)
-        if not dropped and not (verdict > _WILD).any():
+        regular = _map_rows(self._state, stamp_us, received_us, wraps, t_us, verdict, before)
+        if regular:
             return ImuTimes(t_us, verdict == _KEEP, (), 0, 0)
         events = []
         for row in np.flatnonzero(verdict > _WILD).tolist():
@@ -122,9 +122,9 @@ class Clock:
             events.append(ClockEvent(kind, row, int(before[row]), int(t_us[row])))
             if kind == "reboot":
                 self._unix_minus_boot = None
-        zeros = int((verdict == _ZERO).sum())
-        keep = (verdict == _KEEP) | (verdict > _WILD)
-        return ImuTimes(t_us, keep, tuple(events), zeros, dropped - zeros)
+        keep = (verdict != _ZERO) & (verdict != _WILD)
+        zeros, wild = int((verdict == _ZERO).sum()), int((verdict == _WILD).sum())
+        return ImuTimes(t_us, keep, tuple(events), zeros, wild)
 
     def system_time(self, unix_us: int | None, boot_us: int) -> None:
         """Learn the offset of the two clocks from a SYSTEM_TIME; one without UNIX time says
@@ -175,11 +175,11 @@ def _map_rows(
     t_us: IntArray,
     verdict: IntArray,
     before: IntArray,
-) -> int:
+) -> bool:
     """Walk IMU rows through the clock's `state`; fill the three last arguments; the number of rows
     dropped.
     """
-    dropped = 0
+    regular = True
     for i in range(stamp_us.size):
         newest = state[NEWEST]
         before[i] = newest
@@ -188,7 +188,7 @@ def _map_rows(
         if t <= 0:
             # with milliseconds that wrap, zero is also the stamp of one true instant in 49.7 days
             verdict[i] = _ZERO
-            dropped += 1
+            regular = False
             continue
         if wraps:
             near = t + (newest - t + WRAP_US // 2) // WRAP_US * WRAP_US
@@ -208,8 +208,9 @@ def _map_rows(
             state[PENDING] = t
             if state[AGREEING] < CONFIRMATIONS:
                 verdict[i] = _WILD
-                dropped += 1
+                regular = False
                 continue
+            regular = False
             verdict[i] = _REBOOT if t < newest else _JUMP
             if t < newest:
                 t = stamp_us[i]  # a new boot has not wrapped yet
@@ -229,4 +230,4 @@ def _map_rows(
                 state[LAG_BEFORE] = state[LAG] if bucket == state[BUCKET] + 1 else lag
                 state[LAG] = lag
                 state[BUCKET] = bucket
-    return dropped
+    return regular

@@ -8,6 +8,7 @@ common.xml.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
 from typing import Any, Final, TypeAlias
@@ -35,7 +36,7 @@ from mavins.mavlink.codec.messages import (
     SystemTime,
     Truth,
 )
-from mavins.types import FloatArray, IntArray
+from mavins.types import IntArray
 
 Values: TypeAlias = tuple[Any, ...]
 
@@ -51,12 +52,18 @@ MAX_ALTITUDE: Final = 100_000.0
 FIRST_UNIX_US: Final = 10**15
 """A stamp above this (2001) counts from 1970, below it from boot."""
 
+STAMP_LIMIT: Final = 2**62
+"""Microseconds; a greater stamp is damage (and would not fit into int64 arithmetic)."""
+
 _U16: Final = 0xFFFF
 _U32: Final = 0xFFFFFFFF
 _DEG_E7: Final = math.radians(1e-7)
 _CDEG: Final = math.radians(1e-2)
 _ACCEL_AND_GYRO: Final = 0x3F
-_MILLI_G: Final = STANDARD_GRAVITY * 1e-3
+_SCALED_KINDS: Final = ("SCALED_IMU", "SCALED_IMU2", "SCALED_IMU3")
+_SI: Final = (1.0, 1.0)
+_MILLI: Final = (STANDARD_GRAVITY * 1e-3, 1e-3)
+"""Wire units of accelerometer and gyro: m/s^2 and rad/s, or mg and mrad/s."""
 
 _IGNORE_ALT: Final = 1
 _IGNORE_HDOP: Final = 2
@@ -132,32 +139,38 @@ def _course(cdeg: int) -> float | None:
     return None if cdeg > 36000 else cdeg % 36000 * _CDEG
 
 
-def _imu(kind: str, imu_id: int, stamp_us: int, accel: FloatArray, gyro: FloatArray) -> ImuMessage:
-    _finite(*accel, *gyro)
-    in_range = abs(accel).max() <= MAX_ACCEL and abs(gyro).max() <= MAX_GYRO
-    _check(bool(in_range), "out of range")
+def _imu(
+    kind: str, imu_id: int, stamp_us: int, v: Values, units: tuple[float, float]
+) -> ImuMessage:
+    _check(stamp_us < STAMP_LIMIT, "stamp out of range")
+    accel, gyro = np.array(v[1:4], np.float64), np.array(v[4:7], np.float64)
+    accel *= units[0]
+    gyro *= units[1]
+    # of finite readings the sum is finite; min and max alone do not see every NaN
+    x, y, z = accel.tolist()
+    in_range = math.isfinite(x + y + z) and max(x, y, z) <= MAX_ACCEL and min(x, y, z) >= -MAX_ACCEL
+    x, y, z = gyro.tolist()
+    in_range &= math.isfinite(x + y + z) and max(x, y, z) <= MAX_GYRO and min(x, y, z) >= -MAX_GYRO
+    _check(in_range, "reading out of range")
     return ImuMessage(kind, imu_id, stamp_us, accel, gyro)
 
 
 def _highres_imu(v: Values) -> ImuMessage:
     _check(v[14] & _ACCEL_AND_GYRO == _ACCEL_AND_GYRO, "no new accelerometer and gyro")
-    return _imu("HIGHRES_IMU", v[15], v[0], np.array(v[1:4], float), np.array(v[4:7], float))
+    return _imu("HIGHRES_IMU", v[15], v[0], v, _SI)
 
 
 def _raw_imu(v: Values) -> ImuMessage:
-    return _imu("RAW_IMU", v[10], v[0], np.array(v[1:4]) * _MILLI_G, np.array(v[4:7]) * 1e-3)
+    return _imu("RAW_IMU", v[10], v[0], v, _MILLI)
 
 
-def _scaled_imu(kind: str, imu_id: int) -> Callable[[Values], ImuMessage]:
-    def decoder(v: Values) -> ImuMessage:
-        accel, gyro = np.array(v[1:4]) * _MILLI_G, np.array(v[4:7]) * 1e-3
-        return _imu(kind, imu_id, v[0] * 1000, accel, gyro)
-
-    return decoder
+def _scaled_imu(v: Values, imu_id: int) -> ImuMessage:
+    return _imu(_SCALED_KINDS[imu_id], imu_id, v[0] * 1000, v, _MILLI)
 
 
 def _gps_raw_int(v: Values) -> GpsRaw:
     stamp, lat, lon, alt, eph, epv, vel, cog, fix, sats, _, h_acc, v_acc, vel_acc, hdg_acc, yaw = v
+    _check(stamp < STAMP_LIMIT, "stamp out of range")
     lat_rad, lon_rad = _position(lat, lon, alt * 1e-3, fix)
     return GpsRaw(
         stamp_us=stamp,
@@ -205,6 +218,7 @@ def _gps_input(v: Values) -> GpsInput:
     def accuracy(value: float, flag: int) -> float | None:
         return value if not ignore & flag and 0.0 < value < _U16 else None
 
+    _check(stamp < STAMP_LIMIT, "stamp out of range")
     altitude = used(alt, _IGNORE_ALT)
     lat_rad, lon_rad = _position(lat, lon, altitude or 0.0, fix)
     v_n, v_e = (math.nan, math.nan) if ignore & _IGNORE_VEL_HORIZ else (vn, ve)
@@ -232,6 +246,7 @@ def _gps_input(v: Values) -> GpsInput:
 
 def _hil_gps(v: Values) -> HilGps:
     stamp, lat, lon, alt, eph, epv, _, vn, ve, vd, _, fix, sats, gps_id, yaw = v
+    _check(stamp < STAMP_LIMIT, "stamp out of range")
     lat_rad, lon_rad = _position(lat, lon, alt * 1e-3, fix)
     return HilGps(
         stamp_us=stamp,
@@ -256,7 +271,7 @@ def _attitude(v: Values) -> Attitude:
 
 
 def _system_time(v: Values) -> SystemTime:
-    return SystemTime(v[0] if FIRST_UNIX_US < v[0] < 2**62 else None, v[1] * 1000)
+    return SystemTime(v[0] if FIRST_UNIX_US < v[0] < STAMP_LIMIT else None, v[1] * 1000)
 
 
 def _heartbeat(v: Values) -> Heartbeat:
@@ -279,6 +294,7 @@ def _unit(q: tuple[float, ...]) -> tuple[float, float, float, float]:
 
 def _hil_state_quaternion(v: Values) -> HilState:
     stamp, *q_and_rates = v[:8]
+    _check(stamp < STAMP_LIMIT, "stamp out of range")
     lat, lon, alt, vx, vy, vz = v[8:14]
     lat_rad, lon_rad = _position(lat, lon, alt * 1e-3)
     rates = q_and_rates[4:]
@@ -309,9 +325,9 @@ def _table(**decoders: Callable[[Values], Any]) -> dict[int, tuple[Fields, Calla
 
 _DECODERS: Final = _table(
     HIGHRES_IMU=_highres_imu,
-    SCALED_IMU=_scaled_imu("SCALED_IMU", 0),
-    SCALED_IMU2=_scaled_imu("SCALED_IMU2", 1),
-    SCALED_IMU3=_scaled_imu("SCALED_IMU3", 2),
+    SCALED_IMU=functools.partial(_scaled_imu, imu_id=0),
+    SCALED_IMU2=functools.partial(_scaled_imu, imu_id=1),
+    SCALED_IMU3=functools.partial(_scaled_imu, imu_id=2),
     RAW_IMU=_raw_imu,
     GPS_RAW_INT=_gps_raw_int,
     GLOBAL_POSITION_INT=_global_position_int,
@@ -348,20 +364,20 @@ def decode_imu(frames: Frames, indices: IntArray) -> ImuRows:
         rows = payload_rows(frames, indices[at], fields_of(kind))
         accel = np.column_stack([rows["xacc"], rows["yacc"], rows["zacc"]]).astype(np.float64)
         gyro = np.column_stack([rows["xgyro"], rows["ygyro"], rows["zgyro"]]).astype(np.float64)
-        usable = np.ones(len(at), np.bool_)
+        in_units = _SI if kind == "HIGHRES_IMU" else _MILLI
+        accel *= in_units[0]
+        gyro *= in_units[1]
+        # a NaN compares as out of range
+        usable = (abs(accel) <= MAX_ACCEL).all(axis=1) & (abs(gyro) <= MAX_GYRO).all(axis=1)
         if kind == "HIGHRES_IMU":
             usable &= rows["fields_updated"] & _ACCEL_AND_GYRO == _ACCEL_AND_GYRO
+        if kind in _SCALED_KINDS:
+            stamp_us[at] = rows["time_boot_ms"].astype(np.int64) * 1000
+            imu_id[at] = _SCALED_KINDS.index(kind)
         else:
-            accel *= _MILLI_G
-            gyro *= 1e-3
-        # a NaN compares as out of range
-        usable &= (abs(accel) <= MAX_ACCEL).all(axis=1) & (abs(gyro) <= MAX_GYRO).all(axis=1)
-        if kind in ("HIGHRES_IMU", "RAW_IMU"):
+            usable &= rows["time_usec"] < STAMP_LIMIT
             stamp_us[at] = rows["time_usec"].astype(np.int64)
             imu_id[at] = rows["id"]
-        else:
-            stamp_us[at] = rows["time_boot_ms"].astype(np.int64) * 1000
-            imu_id[at] = ("SCALED_IMU", "SCALED_IMU2", "SCALED_IMU3").index(kind)
         accel_b[at[usable]] = accel[usable]
         gyro_b[at[usable]] = gyro[usable]
         valid[at] = usable

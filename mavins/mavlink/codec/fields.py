@@ -62,6 +62,7 @@ class Fields:
     names: tuple[str, ...]
     codes: str
     counts: tuple[int, ...]
+    clamps: tuple[Callable[[float], float] | None, ...]
     unpacker: struct.Struct
     dtype: np.dtype[np.void]
 
@@ -70,16 +71,14 @@ class Fields:
         named is zero.
         """
         parts: list[Any] = []
-        for name, code, count in zip(self.names, self.codes, self.counts, strict=True):
-            value = values.pop(name, None)
-            if code in "sc":
+        for name, count, clamp in zip(self.names, self.counts, self.clamps, strict=True):
+            value = values.pop(name, 0)
+            if clamp is None:
                 parts.append(value or b"")
-                continue
-            clamp = _clamp_of(code, (self.name, name) in NAN_IS_UNKNOWN)
-            if count:
-                parts.extend(map(clamp, value if value is not None else (0,) * count))
+            elif count:
+                parts.extend(map(clamp, value or (0,) * count))
             else:
-                parts.append(clamp(value if value is not None else 0))
+                parts.append(clamp(value))
         if values:
             raise KeyError(f"{self.name} has no field {', '.join(values)}")
         return self.unpacker.pack(*parts)
@@ -93,6 +92,8 @@ def _clamp_of(code: str, nan_is_unknown: bool) -> Callable[[float], float]:
     if code in "fd":
 
         def clamp_real(value: float) -> float:
+            if -_FLOAT32_MAX <= value <= _FLOAT32_MAX:
+                return value
             if value != value:
                 return math.nan if nan_is_unknown else 0.0
             return min(max(value, -_FLOAT32_MAX), _FLOAT32_MAX)
@@ -173,6 +174,10 @@ def fields_of(name: str) -> Fields:
         names=tuple(message.ordered_fieldnames),
         codes=codes,
         counts=counts,
+        clamps=tuple(
+            None if code in "sc" else _clamp_of(code, (name, field) in NAN_IS_UNKNOWN)
+            for field, code in zip(message.ordered_fieldnames, codes, strict=True)
+        ),
         unpacker=message.unpacker,
         dtype=np.dtype(columns),
     )
