@@ -29,7 +29,7 @@ STAMP_LENGTH: Final = 8
 _SIGNED: Final = 0x01
 _SIGNATURE_LENGTH: Final = 13
 
-_INTACT_PACKET: Final = 0
+_INTACT: Final = 0
 _UNKNOWN: Final = 1
 _DAMAGED: Final = 2
 _TRUNCATED: Final = 3
@@ -68,7 +68,7 @@ class Damage:
         return bool(self.bad_crc or self.unknown or self.skipped_bytes or self.truncated)
 
 
-_INTACT: Final = Damage()
+_UNHURT: Final = Damage()
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,7 +172,7 @@ def _frames(data: Buffer, lead: int) -> Frames:
     # room for the shortest packets; of a large table only the pages that are used take memory
     table = np.empty((9, view.size // (lead + 8) + 1), np.int64)
     count, bad_crc, unknown, skipped, truncated = _walk(view, lead, WIRE, table)
-    damage = Damage(bad_crc, unknown, skipped, truncated) if unknown or skipped else _INTACT
+    damage = Damage(bad_crc, unknown, skipped, truncated) if unknown or skipped else _UNHURT
     return Frames(view, table[:, :count].copy(), damage)
 
 
@@ -232,7 +232,7 @@ def _header(data: NDArray[np.uint8], start: int, wire: IntArray, row: IntArray) 
     crc = _checksum(data, start + 1, int(crc_at), int(known) & 0xFF)
     if data[crc_at] | np.int64(data[crc_at + 1]) << 8 != crc:
         return _DAMAGED
-    return _INTACT_PACKET
+    return _INTACT
 
 
 @kernel
@@ -247,43 +247,44 @@ def _walk(
     row = np.zeros(9, np.int64)
     count = bad_crc = unknown = skipped = truncated = 0
     done = 0  # all before is accounted for
-    expected = (
-        0  # where a record begins if nothing is damaged: only there a failure counts as a packet
-    )
-    pos = 0
-    while pos + lead < size:
-        start = pos + lead
-        if data[start] != STX_V2 and data[start] != STX_V1:
-            pos += 1
+    start = expected = lead  # where a packet begins if nothing is damaged: a failure there counts
+    stepped_over_stamp = lead > 0
+    while start < size:
+        verdict = _DAMAGED
+        aligned = False
+        if data[start] == STX_V2 or data[start] == STX_V1:
+            verdict = _header(data, start, wire, row)
+            follows = row[END] + lead
+            if verdict != _TRUNCATED:
+                aligned = row[END] == size or (
+                    follows < size and (data[follows] == STX_V2 or data[follows] == STX_V1)
+                )
+            truncated += verdict == _TRUNCATED and start == expected
+            bad_crc += verdict == _DAMAGED and (start == expected or aligned)
+        if verdict == _INTACT or (verdict == _UNKNOWN and aligned):
+            # a stamp that would overlap the packet before was cut off: the stamp before stays
+            if start - lead >= done and lead > 0:
+                row[T_US] = _stamp(data, start - lead)
+            skipped += max(0, start - lead - done)
+            if verdict == _UNKNOWN:
+                unknown += 1
+            else:
+                for k in range(9):
+                    table[k, count] = row[k]
+                count += 1
+            done = row[END]
+            start = expected = done + lead
+            stepped_over_stamp = lead > 0
             continue
-        verdict = _header(data, start, wire, row)
-        if verdict == _TRUNCATED:
-            truncated += pos == expected
-            pos += 1
-            continue
-        end = row[END]
-        follows = end + lead
-        aligned = end == size or (
-            follows < size and (data[follows] == STX_V2 or data[follows] == STX_V1)
-        )
-        if verdict == _DAMAGED or (verdict == _UNKNOWN and not aligned):
-            if verdict == _DAMAGED and (pos == expected or aligned):
-                bad_crc += 1
-            if aligned:
-                expected = max(expected, end)
-            pos += 1
-            continue
-        # a stamp that overlaps the packet before was cut off: keep the stamp before
-        if pos >= done and lead > 0:
-            row[T_US] = _stamp(data, pos)
-        skipped += max(0, pos - done)
-        if verdict == _UNKNOWN:
-            unknown += 1
+        if start == expected:
+            expected = -1
+        if aligned:
+            expected = max(expected, follows)
+        if stepped_over_stamp:  # the next packet may have lost part of its stamp
+            start = done
+            stepped_over_stamp = False
         else:
-            for k in range(9):
-                table[k, count] = row[k]
-            count += 1
-        pos = expected = done = end
+            start += 1
     return count, bad_crc, unknown, skipped + size - done, truncated
 
 
