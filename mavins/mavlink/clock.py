@@ -190,7 +190,7 @@ def _map_rows(
             verdict[i] = _ZERO
             regular = False
             continue
-        if wraps:
+        if wraps and state[STARTED]:
             near = t + (newest - t + WRAP_US // 2) // WRAP_US * WRAP_US
             continuous = newest - MAX_BACKWARD_US <= near <= newest + MAX_FORWARD_US
             t = near if continuous else t + state[WRAPPED]

@@ -1,0 +1,111 @@
+"""UDP on loopback: datagrams both ways, a busy port, and peers that are not there."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+
+from mavins.errors import TransportError
+from mavins.transports.base import parse_address
+from mavins.transports.udp import UdpTransport
+
+
+@pytest.fixture
+def server():  # type: ignore[no-untyped-def]
+    transport = UdpTransport.bind("127.0.0.1", 0)
+    yield transport
+    transport.close()
+
+
+def drained(transport: UdpTransport, n: int) -> list[bytes]:
+    got: list[bytes] = []
+    deadline = time.monotonic() + 5.0
+    while len(got) < n and time.monotonic() < deadline:
+        got += [data for data, _ in transport.recv(0.2)]
+    return got
+
+
+def test_datagrams_go_both_ways_whole_and_in_order(server: UdpTransport) -> None:
+    client = UdpTransport.client(*server.address)
+    sent = [bytes([k]) * (k + 1) for k in range(50)]
+    for data in sent:
+        client.send(data)
+    got: list[bytes] = []
+    while len(got) < 50:
+        for data, address in server.recv(1.0):
+            got.append(data)
+            server.send(data[::-1], address)
+    assert got == sent
+    assert drained(client, 50) == [data[::-1] for data in sent]
+    client.close()
+
+
+def test_recv_does_not_wait_when_told_not_to(server: UdpTransport) -> None:
+    start = time.monotonic()
+    assert server.recv(0.0) == []
+    assert time.monotonic() - start < 0.2
+    assert server.recv(0.05) == []
+
+
+def test_a_port_alone_binds_all_interfaces() -> None:
+    transport = UdpTransport.bind("", 0)
+    assert transport.address[0] == "0.0.0.0"
+    client = UdpTransport.client("127.0.0.1", transport.address[1])
+    client.send(b"hello")
+    assert drained(transport, 1) == [b"hello"]
+    client.close()
+    transport.close()
+
+
+def test_a_busy_port_says_the_way_out(server: UdpTransport) -> None:
+    with pytest.raises(TransportError) as caught:
+        UdpTransport.bind("127.0.0.1", server.address[1])
+    message = str(caught.value)
+    assert "in use" in message
+    assert "serve --udp 14540 --gcs 127.0.0.1:14550" in message
+    assert "\n" not in message
+
+
+def test_an_address_that_is_not_ours() -> None:
+    with pytest.raises(TransportError, match="no interface"):
+        UdpTransport.bind("192.0.2.1", 0)
+    with pytest.raises(TransportError, match="no host is called"):
+        UdpTransport.bind("no host", 0)
+
+
+def test_nobody_there_is_counted_never_raised(server: UdpTransport) -> None:
+    host, port = server.address
+    client = UdpTransport.client(host, port)
+    server.close()
+    for _ in range(20):
+        client.send(b"x")
+        client.recv(0.01)
+    assert client.send_errors + client.receive_errors > 0
+    other = UdpTransport.bind("127.0.0.1", 0)
+    other.send(b"x" * 70_000, (host, port))  # larger than any datagram
+    assert other.send_errors == 1
+    other.close()
+    client.close()
+
+
+def test_a_closed_transport_is_quiet() -> None:
+    transport = UdpTransport.bind("127.0.0.1", 0)
+    transport.close()
+    transport.close()
+    assert transport.recv(0.0) == []
+    transport.send(b"x", ("127.0.0.1", 9))
+
+
+@pytest.mark.parametrize(
+    ("text", "address"),
+    [("14550", ("", 14550)), ("a.b:1", ("a.b", 1)), ("127.0.0.1:0", ("127.0.0.1", 0))],
+)
+def test_parse_address(text: str, address: tuple[str, int]) -> None:
+    assert parse_address(text) == address
+
+
+@pytest.mark.parametrize("text", ["", "host", "host:", "1:70000", "1:-5", "a:b:c", "14550x", "¹"])
+def test_parse_address_refuses(text: str) -> None:
+    with pytest.raises(TransportError, match="HOST:PORT"):
+        parse_address(text)
