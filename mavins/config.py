@@ -12,18 +12,25 @@ import textwrap
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 from mavins import __version__, typed_settings, yaml_text
 from mavins.documented import Doc
+from mavins.estimator.settings import Settings
+from mavins.mavlink.sources import SourceSettings
+
+FilterName = Literal["eskf"]
 
 _WIDTH = 100
 _MISSING = dataclasses.MISSING
 
 
 @dataclass(frozen=True, slots=True)
-class Config:
-    """All settings. One line per room: `name: RoomSettings = RoomSettings()`."""
+class Config(Settings):
+    """All settings: the estimator's sections, and one line per further room."""
+
+    filter: Annotated[FilterName, Doc("The filter.")] = "eskf"
+    sources: SourceSettings = SourceSettings()
 
 
 def load(path: Path | str | None = None, overrides: Mapping[str, Any] | None = None) -> Config:

@@ -51,7 +51,7 @@ class GnssFix:
     `lat`, `lon` in radians, `alt` in m above mean sea level; `v_l` is the NED velocity in m/s in the local
     level frame with NaN where a component is not measured (GPS_RAW_INT has no vertical one), or None.
     The sigmas are the receiver's own claims in m and m/s, None where it makes none. `t_us` is the stamp
-    of the message; the fix was valid at t_us - delay.
+    of the message; the fix was valid at t_us - delay (s).
     """
 
     t_us: int
@@ -65,19 +65,21 @@ class GnssFix:
     sigma_v: float | None = None
     sigma_speed: float | None = None
     source: str = "gnss"
+    delay: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class HeadingFix:
     """One heading (yaw of the body's forward axis from true north, radians, local level frame).
 
-    `sigma` in radians is the source's own claim, or None for the configured one.
+    `sigma` in radians is the source's own claim, or None for the configured one. Valid at t_us - delay (s).
     """
 
     t_us: int
     yaw: float
     sigma: float | None = None
     source: str = "heading"
+    delay: float = 0.0
 
 
 class Health(enum.IntEnum):

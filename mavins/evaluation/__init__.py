@@ -1,0 +1,1 @@
+"""Judging estimates against truth. Nothing that estimates knows of this room."""

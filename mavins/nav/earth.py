@@ -104,6 +104,15 @@ def normal_gravity(sin_lat: float, alt: float) -> float:
 
 
 @kernel
+def ecef_of(p_n: FloatArray, r0_e: FloatArray, C_ne: FloatArray) -> FloatArray:
+    """The ECEF position (3,) in m of a point p_n (3,) of frame n: r0_e + C_en p_n."""
+    r = np.empty(3)
+    for i in range(3):
+        r[i] = r0_e[i] + C_ne[0, i] * p_n[0] + C_ne[1, i] * p_n[1] + C_ne[2, i] * p_n[2]
+    return r
+
+
+@kernel
 def gravity_at(
     p0: float, p1: float, p2: float, r0_e: FloatArray, C_ne: FloatArray
 ) -> tuple[float, float, float]:

@@ -136,4 +136,7 @@ def is_sane(x: FloatArray, P: FloatArray) -> bool:
     for i in range(len(x)):
         if not math.fabs(x[i]) < np.inf:
             return False
-    return all(P[i, i] > 0.0 and P[i, i] < np.inf for i in range(P.shape[0]))
+    for i in range(P.shape[0]):  # noqa: SIM110 (numba knows no generator expressions)
+        if not (P[i, i] > 0.0 and P[i, i] < np.inf):
+            return False
+    return True

@@ -1,0 +1,149 @@
+"""Collects what the first state needs, says what is still missing, and makes it when all is there."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from mavins.estimator.alignment import Start, initial_state
+from mavins.estimator.buffer import ImuBuffer
+from mavins.estimator.quality import StartGate, noise_of, objection
+from mavins.estimator.settings import Settings
+from mavins.estimator.standing import StandingDetector, mean_rows
+from mavins.nav.earth import TangentFrame, gravity_n
+from mavins.nav.so3 import dcm_to_quat, quat_conj, quat_mul
+from mavins.types import FloatArray, GnssFix, HeadingFix
+
+_HISTORY_US = 3_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """All that a start needs: the fix and its valid time, the heading, IMU means over the window, and the motion."""
+
+    t_us: int
+    fix: GnssFix
+    heading: HeadingFix
+    gyro_b: FloatArray
+    accel_b: FloatArray
+    acceleration_l: FloatArray
+    standing: bool
+
+
+class Aligner:
+    """Sees every fix and heading, and looks at the IMU when asked for a candidate."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self.standing = StandingDetector(settings.zero_velocity)
+        self.gate = StartGate(settings.gnss)
+        self._fixes: deque[tuple[int, GnssFix]] = deque()
+        self._heading: tuple[int, HeadingFix] | None = None
+
+    def see_fix(self, fix: GnssFix, t_us: int) -> None:
+        """A fix with its valid time."""
+        self.gate.add(fix, self.standing.quiet)
+        if objection(fix, self._settings.gnss):
+            return
+        self._fixes.append((t_us, fix))
+        while t_us - self._fixes[0][0] > _HISTORY_US:
+            self._fixes.popleft()
+
+    def see_heading(self, fix: HeadingFix, t_us: int) -> None:
+        """A heading with its valid time."""
+        self._heading = (t_us, fix)
+
+    def candidate(self, buffer: ImuBuffer, now_us: int, buffer_us: int) -> Candidate | str:
+        """What a start can be made from now, or what is missing for one."""
+        settings = self._settings.alignment
+        window_us = round(settings.window * 1e6)
+        if now_us - buffer.oldest_us < window_us:
+            return "collecting IMU samples"
+        if not self.gate.passed:
+            return self.gate.reason
+        if self._heading is None:
+            return "no heading source"
+        if now_us - self._heading[0] > settings.heading_age * 1e6:
+            return "heading is old"
+        usable = [(t, f) for t, f in self._fixes if now_us - buffer_us < t <= now_us]
+        if not usable:
+            return "waiting for a fresh GNSS fix"
+        t_us, fix = usable[-1]
+        if t_us < buffer.oldest_us:
+            return "collecting IMU samples"
+        means = mean_rows(buffer.readings(buffer.row_after(now_us - window_us), buffer.end))
+        standing = self.standing.standing
+        return Candidate(
+            t_us,
+            fix,
+            self._heading[1],
+            means[:3].copy(),
+            means[3:].copy(),
+            np.zeros(3) if standing else self._acceleration(now_us - window_us, now_us),
+            standing,
+        )
+
+    def _acceleration(self, start_us: int, end_us: int) -> FloatArray:
+        """Mean acceleration (3,) in l in m/s^2 over the window as GNSS velocities show it; zero where they do not."""
+        fixes = [(t, f) for t, f in self._fixes if f.v_l is not None]
+        if len(fixes) < 2:
+            return np.zeros(3)
+        t0, a = min(fixes, key=lambda item: abs(item[0] - start_us))
+        t1, b = min(fixes, key=lambda item: abs(item[0] - end_us))
+        if t1 - t0 < 0.3 * (end_us - start_us) or a.v_l is None or b.v_l is None:
+            return np.zeros(3)
+        return np.nan_to_num((np.array(b.v_l) - np.array(a.v_l)) / ((t1 - t0) * 1e-6))
+
+    def start(
+        self,
+        candidate: Candidate,
+        frame: TangentFrame,
+        size: int,
+        heading_sigma: Callable[[HeadingFix], float],
+    ) -> tuple[FloatArray, FloatArray]:
+        """(x, P) of the first state, valid at the candidate's fix."""
+        s = self._settings
+        fix = candidate.fix
+        noise = noise_of(fix, s.gnss)
+        C_ln = frame.local_level(fix.lat, fix.lon)
+        p_n = frame.from_lla(fix.lat, fix.lon, fix.alt)
+        push_l = candidate.acceleration_l - C_ln @ gravity_n(p_n, frame.r0_e, frame.C_ne)
+        v_l, R_v = self._velocity(candidate, noise.speed)
+        window = s.alignment.window
+        tilt = s.imu.accel_noise * 0.1 / (9.8 * math.sqrt(window))
+        if not candidate.standing:
+            turned = float(np.linalg.norm(candidate.gyro_b)) * window
+            tilt = math.hypot(math.radians(s.alignment.moving_sigma_deg), 0.5 * turned)
+        # found in l and then turned into n, so that the heading means the local north
+        start = Start(
+            accel_b=candidate.accel_b,
+            push_n=push_l,
+            yaw_n=candidate.heading.yaw,
+            p_n=p_n,
+            R_p=np.diag([noise.h**2, noise.h**2, noise.v**2]),
+            v_n=v_l,
+            R_v=R_v,
+            b_g=candidate.gyro_b.copy() if candidate.standing else np.zeros(3),
+            sigma_b_g=s.imu.gyro_bias_sigma,
+            sigma_b_a=s.imu.accel_bias_sigma,
+            sigma_tilt=tilt,
+            sigma_yaw=heading_sigma(candidate.heading),
+            lever_b=np.array(s.gnss.lever_arm),
+        )
+        x, P = initial_state(start, size)
+        x[3:6] = C_ln.T @ x[3:6]
+        x[6:10] = quat_mul(quat_conj(dcm_to_quat(C_ln)), x[6:10])
+        return x, P
+
+    def _velocity(self, candidate: Candidate, sigma: float) -> tuple[FloatArray, FloatArray]:
+        """First velocity (3,) in l and its noise; a component that nothing shows is zero to within 3 m/s."""
+        if candidate.standing:
+            return np.zeros(3), np.eye(3) * self._settings.zero_velocity.sigma**2
+        v = np.full(3, math.nan) if candidate.fix.v_l is None else np.array(candidate.fix.v_l)
+        sigmas = np.where(np.isnan(v), 3.0, sigma)
+        return np.nan_to_num(v), np.diag(sigmas**2)
+

@@ -1,0 +1,144 @@
+"""Fusing one measurement into a filter state: gate, count, and the reset when the gate has been shut too long.
+
+What must survive a rewind (when something was last accepted, how often the state was reset) lies in `Track`,
+which is saved and restored with the filter state.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+
+from mavins.aiding import Measurement, gnss_position, gnss_velocity
+from mavins.estimator.gate import gate_threshold
+from mavins.filters.base import Filter, FilterState
+from mavins.nav.kernels import kernel
+from mavins.types import FloatArray, IntArray
+
+RESETTABLE: Final = {gnss_position.NAME: (0, 0), gnss_velocity.NAME: (1, 3)}
+"""aiding -> (place in Track, first state) of what can be reset to GNSS."""
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """What the fusion remembers: times in us (-1: never) of the last accepted position, velocity and heading, since when
+    position and velocity have been rejected without a break, and how many resets there were."""
+
+    accepted_us: tuple[int, int, int] = (-1, -1, -1)
+    rejected_since_us: tuple[int, int] = (-1, -1)
+    resets: int = 0
+    reset_times_us: tuple[int, ...] = ()
+
+
+@dataclass(slots=True)
+class Event:
+    """A measurement on the time line and what has become of it; `order` sorts events of one instant."""
+
+    measurement: Measurement
+    order: tuple[int, int, str, int]
+    reason: str = ""
+    nis: float = math.nan
+    innovation: FloatArray = field(default_factory=lambda: np.empty(0))
+    sigma: FloatArray = field(default_factory=lambda: np.empty(0))
+
+    @property
+    def accepted(self) -> bool:
+        """True where it was fused."""
+        return not self.reason
+
+
+@kernel
+def innovation_sigma(P: FloatArray, H: FloatArray, R: FloatArray, columns: IntArray) -> FloatArray:
+    """sqrt(diag(H P H^T + R)) (m,): what the residuals should look like."""
+    m, n = H.shape[0], P.shape[0]
+    sigma = np.empty(m)
+    for i in range(m):
+        s = R[i, i]
+        for a in range(n):
+            if H[i, columns[a]] != 0.0:
+                for b in range(n):
+                    s += H[i, columns[a]] * P[a, b] * H[i, columns[b]]
+        sigma[i] = math.sqrt(s) if s > 0.0 else math.nan
+    return sigma
+
+
+def _put(values: tuple[int, ...], place: int, value: int) -> tuple[int, ...]:
+    return (*values[:place], value, *values[place + 1 :])
+
+
+class Fusion:
+    """Takes events to a filter and keeps the track."""
+
+    def __init__(self, algorithm: Filter, reset_after: float) -> None:
+        self._filter = algorithm
+        self._reset_after_us = round(reset_after * 1e6)
+        self.track = Track()
+
+    def fuse(self, state: FilterState, event: Event) -> None:
+        """Fuse one event at the state's time, which is the measurement's valid time; the event takes the outcome."""
+        m = event.measurement
+        r, H = m.model(state.x, state.u, m.z, m.parameters)
+        event.innovation = r
+        event.sigma = innovation_sigma(state.P, H, m.R, self._filter.layout.columns)
+        event.reason = m.quality
+        event.nis = math.nan
+        if m.quality:
+            return
+        gate = gate_threshold(m.gate, len(r))
+        event.nis = self._filter.update(state, r, H, m.R, gate)
+        if event.nis <= gate:
+            self._accept(m)
+        else:
+            event.reason = "numeric" if math.isnan(event.nis) else "gate"
+            self._reject(state, m, event, r, H)
+
+    def _accept(self, m: Measurement) -> None:
+        track = self.track
+        if m.rank < len(track.accepted_us):
+            accepted = _put(track.accepted_us, m.rank, m.t_us)
+            since = track.rejected_since_us
+            if m.rank < len(since):
+                since = _put(since, m.rank, -1)  # type: ignore[assignment]
+            self.track = replace(track, accepted_us=accepted, rejected_since_us=since)
+
+    def _reject(
+        self, state: FilterState, m: Measurement, event: Event, r: FloatArray, H: FloatArray
+    ) -> None:
+        if m.aiding not in RESETTABLE:
+            return
+        place, first = RESETTABLE[m.aiding]
+        since = self.track.rejected_since_us[place]
+        if since < 0:
+            since = m.t_us
+            self.track = replace(
+                self.track, rejected_since_us=_put(self.track.rejected_since_us, place, since)
+            )
+        if m.t_us - since < self._reset_after_us:
+            return
+        _reset_block(state, first, r, H, m.R)
+        event.reason = "reset"
+        self._accept(m)
+        self.track = replace(
+            self.track,
+            resets=self.track.resets + 1,
+            reset_times_us=(*self.track.reset_times_us[-7:], m.t_us),
+        )
+
+
+def _reset_block(
+    state: FilterState, first: int, r: FloatArray, H: FloatArray, R: FloatArray
+) -> None:
+    """Shift position or velocity by its residual, and forget what was known of it and its correlations.
+
+    The rows of H's block are orthonormal, so its transpose takes the residual back to n; a horizontal velocity
+    leaves the vertical one alone.
+    """
+    axes = H[:, first : first + 3]
+    state.x[first : first + 3] += axes.T @ r
+    block = slice(first, first + len(r))
+    state.P[block, :] = 0.0
+    state.P[:, block] = 0.0
+    state.P[block, block] = R

@@ -1,0 +1,81 @@
+"""Errors of estimates against a truth: position in metres north, east and down, velocity, and Euler angles."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mavins.nav.earth import dcm_ne, lla_to_ecef
+from mavins.nav.so3 import quat_to_euler
+from mavins.types import FloatArray, IntArray
+
+
+@dataclass(frozen=True, slots=True)
+class Errors:
+    """Errors at N instants: `pos` (N, 3) m and `vel` (N, 3) m/s NED, `att` (N, 3) roll, pitch, yaw in rad."""
+
+    t_us: IntArray
+    pos: FloatArray
+    vel: FloatArray
+    att: FloatArray
+
+    def summary(self) -> dict[str, Any]:
+        """RMS and maximum per axis; attitude in degrees."""
+        result: dict[str, Any] = {"instants": len(self.t_us)}
+        if len(self.t_us):
+            columns = {"pos_m": self.pos, "vel_m_s": self.vel, "att_deg": np.degrees(self.att)}
+            result["rms"] = {k: np.sqrt(np.mean(v**2, axis=0)).tolist() for k, v in columns.items()}
+            result["max"] = {k: np.max(np.abs(v), axis=0).tolist() for k, v in columns.items()}
+        return result
+
+
+def interpolate_truth(
+    at_us: IntArray, t_us: IntArray, lla: FloatArray, v_l: FloatArray, q_lb: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Truth (lat, lon, alt (N, 3), v_l (N, 3), q_lb (N, 4)) at other instants, and which lie inside it.
+
+    Position by the cubic that meets position and velocity at both ends, velocity linear, attitude by the normalized
+    chord. An instant between truth samples more than 0.2 s apart has none.
+    """
+    k = np.clip(np.searchsorted(t_us, at_us, side="right") - 1, 0, len(t_us) - 2)
+    step = (t_us[k + 1] - t_us[k]) * 1e-6
+    s = ((at_us - t_us[k]) * 1e-6 / step)[:, None]
+    inside = (at_us >= t_us[0]) & (at_us <= t_us[-1]) & (step <= 0.2)
+    # the velocity per unit of (lat, lon, alt): the positions' own scale over a step is accurate enough
+    linear = lla[k] + s * (lla[k + 1] - lla[k])
+    bend = 0.5 * s * (1.0 - s) * step[:, None] * step[:, None]
+    acceleration = (v_l[k + 1] - v_l[k]) / step[:, None]
+    scale = np.column_stack(
+        [
+            np.full(len(k), 1.0 / 6.37e6),
+            1.0 / (6.37e6 * np.maximum(np.cos(lla[k, 0]), 1e-9)),
+            np.full(len(k), -1.0),
+        ]
+    )
+    position = linear - bend * acceleration * scale
+    velocity = v_l[k] + s * (v_l[k + 1] - v_l[k])
+    flip = np.where(np.sum(q_lb[k] * q_lb[k + 1], axis=1, keepdims=True) < 0.0, -1.0, 1.0)
+    q = q_lb[k] + s * (flip * q_lb[k + 1] - q_lb[k])
+    return position, velocity, q / np.linalg.norm(q, axis=1, keepdims=True), inside
+
+
+def errors_against(
+    at_us: IntArray,
+    lla: FloatArray,
+    v_l: FloatArray,
+    euler: FloatArray,
+    truth: tuple[IntArray, FloatArray, FloatArray, FloatArray],
+) -> Errors:
+    """Errors of estimates (lat, lon, alt (N, 3), v_l (N, 3), Euler angles (N, 3)) against truth (t_us, lla, v_l, q_lb)."""
+    true_lla, true_v, true_q, inside = interpolate_truth(at_us, *truth)
+    chosen = np.flatnonzero(inside)
+    pos = np.empty((len(chosen), 3))
+    att = np.empty((len(chosen), 3))
+    for row, i in enumerate(chosen):
+        difference = lla_to_ecef(*lla[i]) - lla_to_ecef(*true_lla[i])
+        pos[row] = dcm_ne(true_lla[i, 0], true_lla[i, 1]) @ difference
+        att[row] = euler[i] - quat_to_euler(true_q[i])
+    att = np.arctan2(np.sin(att), np.cos(att))
+    return Errors(at_us[chosen], pos, v_l[chosen] - true_v[chosen], att)

@@ -1,0 +1,348 @@
+"""One vehicle's messages on their way into its estimator: chooses sources, maps clocks, makes fixes.
+
+Live and replay both come through `Intake.take`: live with the packets of one datagram, replay with those of a whole
+log. Neighbouring IMU packets go on as one table; the outcome does not depend on how they were grouped.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable
+from typing import Any, ClassVar, Final, Protocol
+
+import numpy as np
+
+from mavins.estimator.estimator import Estimator
+from mavins.mavlink.clock import Clock, is_unix
+from mavins.mavlink.codec import (
+    IMU_KINDS,
+    WRAPPING_IMU_KINDS,
+    Attitude,
+    Frames,
+    GlobalPosition,
+    GpsInput,
+    GpsRaw,
+    Heartbeat,
+    HilGps,
+    Invalid,
+    SystemTime,
+    decode,
+    decode_imu,
+    fields_of,
+)
+from mavins.mavlink.sources import Sources, SourceSettings, resolve
+from mavins.types import FloatArray, GnssFix, HeadingFix, ImuTable, IntArray
+
+PREFERENCE: Final = (105, 26, 116, 129, 27)
+"""IMU messages, the best first: HIGHRES_IMU, SCALED_IMU, SCALED_IMU2, SCALED_IMU3, RAW_IMU."""
+CHOICE_US: Final = 1_000_000
+"""A lesser IMU message is chosen only when nothing better has come for this long (reception time)."""
+HEARTBEAT_WAIT_US: Final = 3_000_000
+"""A vehicle without a HEARTBEAT for this long is taken for one that sends raw sensors."""
+PAIR_US: Final = 1_500_000
+"""GPS_RAW_INT lends GLOBAL_POSITION_INT its fix type and accuracies up to this age."""
+VERTICAL_US: Final = 250_000
+
+_IMU_IDS: Final = np.array(sorted(IMU_KINDS), dtype=np.int64)
+_OTHER_IDS: Final = np.array(
+    sorted(
+        fields_of(name).msgid
+        for name in (
+            "HEARTBEAT",
+            "SYSTEM_TIME",
+            "GPS_RAW_INT",
+            "GLOBAL_POSITION_INT",
+            "GPS_INPUT",
+            "HIL_GPS",
+            "ATTITUDE",
+        )
+    ),
+    dtype=np.int64,
+)
+RELEVANT: Final = np.union1d(_IMU_IDS, _OTHER_IDS)
+"""The message ids that an intake looks at; all others may be left out."""
+_FROM_ANY_COMPONENT: Final = ("GPS_INPUT", "HIL_GPS")
+_MAV_AUTOPILOT_INVALID: Final = 8
+
+
+class Stamped(Protocol):
+    """A message with a stamp."""
+
+    kind: ClassVar[str]
+    wraps: ClassVar[bool]
+
+    @property
+    def stamp_us(self) -> int:
+        """The stamp as sent."""
+
+
+class Intake:
+    """Feeds one vehicle's estimator from its packets."""
+
+    def __init__(self, estimator: Estimator, settings: SourceSettings) -> None:
+        self.estimator = estimator
+        self.clock = Clock()
+        self.sources: Sources | None = None
+        self.autopilot: int | None = None
+        self.imu: tuple[int, int] | None = None
+        self.compid: int | None = None
+        self.counts: Counter[str] = Counter()
+        self.dropped: Counter[str] = Counter()
+        self.last_fix: GnssFix | None = None
+        self._settings = settings
+        self._first_imu_us: int | None = None
+        self._quality: GpsRaw | None = None
+        self._quality_us = 0
+        self._vertical: tuple[int, float] | None = None
+        self._fix_stamp: int | None = None
+        self._heading_us: int | None = None
+        self._imu_seen: dict[int, int] = {}
+        self._handlers: dict[str, Callable[[Any, int], None]] = {
+            "HEARTBEAT": self._heartbeat,
+            "SYSTEM_TIME": self._system_time,
+            "GPS_RAW_INT": self._gps_raw,
+            "GLOBAL_POSITION_INT": self._global_position,
+            "GPS_INPUT": self._gps_input,
+            "HIL_GPS": self._hil_gps,
+            "ATTITUDE": self._attitude,
+        }
+
+    def take(self, frames: Frames) -> None:
+        """Take packets of this vehicle, in their order, each with its reception stamp in `frames.t_us`."""
+        is_imu = np.isin(frames.msgid, _IMU_IDS)
+        edges = np.flatnonzero(np.diff(is_imu)) + 1
+        for run in np.split(np.arange(len(frames)), edges):
+            if not len(run):
+                continue
+            if is_imu[run[0]]:
+                self._take_imu(frames, run)
+            else:
+                for i in run.tolist():
+                    self._take_other(frames, i)
+
+    # ---- IMU ---------------------------------------------------------------------------------------------------
+
+    def _take_imu(self, frames: Frames, run: IntArray) -> None:
+        """Take a run of IMU packets of whatever kind."""
+        skipped = 0
+        while self.imu is None and skipped < len(run):
+            self._choose_imu(frames, int(run[skipped]))
+            skipped += self.imu is None
+        self.dropped["IMU not chosen yet"] += skipped
+        if self.imu is None:
+            return
+        run = run[skipped:]
+        msgid, imu_id = self.imu
+        run = run[(frames.msgid[run] == msgid) & (frames.compid[run] == self.compid)]
+        rows = decode_imu(frames, run)
+        self.counts[IMU_KINDS[msgid]] += len(rows)
+        usable = rows.valid & (rows.imu_id == imu_id)
+        if not usable.all():
+            invalid = int((~rows.valid).sum())
+            self.dropped["IMU invalid"] += invalid
+            self.dropped["IMU of another id"] += len(rows) - invalid - int(usable.sum())
+        received = frames.t_us[run][usable]
+        if not len(received):
+            return
+        self._place(rows.stamp_us[usable], rows.accel_b[usable], rows.gyro_b[usable], received)
+        assert self._first_imu_us is not None
+        if self.sources is None and int(received[-1]) - self._first_imu_us > HEARTBEAT_WAIT_US:
+            self._resolve(_MAV_AUTOPILOT_INVALID)
+
+    def _choose_imu(self, frames: Frames, i: int) -> None:
+        """Choose message and sensor once: the best kind at once, else the best that came within a second."""
+        msgid, received = int(frames.msgid[i]), int(frames.t_us[i])
+        if self._first_imu_us is None or self.compid is None:
+            self._first_imu_us = received
+            self.compid = int(frames.compid[i])
+        rows = decode_imu(frames, np.array([i], dtype=np.int64))
+        if int(frames.compid[i]) == self.compid and rows.valid[0]:
+            self._imu_seen.setdefault(msgid, int(rows.imu_id[0]))
+        waited = received - self._first_imu_us > CHOICE_US
+        if self._imu_seen and (PREFERENCE[0] in self._imu_seen or waited):
+            best = min(self._imu_seen, key=PREFERENCE.index)
+            self.imu = (best, self._imu_seen[best])
+
+    def _place(
+        self, stamp_us: IntArray, accel_b: FloatArray, gyro_b: FloatArray, received_us: IntArray
+    ) -> None:
+        """Put samples on the time base and hand them over; a reboot between them starts the estimator over."""
+        assert self.imu is not None
+        wraps = IMU_KINDS[self.imu[0]] in WRAPPING_IMU_KINDS
+        times = self.clock.map_imu(stamp_us, received_us, wraps)
+        self.dropped["IMU zero stamp"] += times.zero_stamps
+        self.dropped["IMU wild stamp"] += times.wild_stamps
+        start = 0
+        for event in (*times.events, None):
+            if event is not None and event.kind != "reboot":
+                continue
+            part = slice(start, None if event is None else event.row)
+            keep = times.keep[part]
+            table = ImuTable(times.t_us[part][keep], accel_b[part][keep], gyro_b[part][keep])
+            if len(table):
+                self.estimator.feed_imu(table)
+            if event is not None:
+                start = event.row
+                self.counts["reboots"] += 1
+                self._forget()
+                self.estimator.restart("the vehicle has rebooted")
+
+    def _forget(self) -> None:
+        """A reboot voids every stamp that was kept."""
+        self._quality = None
+        self._vertical = None
+        self._fix_stamp = None
+        self._heading_us = None
+
+    # ---- everything else ---------------------------------------------------------------------------------------
+
+    def _take_other(self, frames: Frames, i: int) -> None:
+        message = decode(frames, i)
+        if message is None:
+            return
+        if isinstance(message, Invalid):
+            self.dropped[f"{message.kind} {message.reason}"] += 1
+            return
+        handler = self._handlers.get(message.kind)
+        from_vehicle = self.compid is not None and int(frames.compid[i]) == self.compid
+        if handler is None or not (from_vehicle or message.kind in _FROM_ANY_COMPONENT):
+            return
+        self.counts[message.kind] += 1
+        handler(message, int(frames.t_us[i]))
+
+    def _resolve(self, autopilot: int) -> None:
+        self.autopilot = autopilot
+        settings = self.estimator.settings
+        self.sources = resolve(self._settings, settings.gnss, settings.heading, autopilot)
+
+    def _time_of(self, message: Stamped, received_us: int) -> int | None:
+        """The message's stamp on the time base, or None (counted) where it has none."""
+        t_us = self.clock.map(message.stamp_us, received_us, message.wraps)
+        if isinstance(t_us, str):
+            self.dropped[f"{message.kind} {t_us}"] += 1
+            return None
+        return t_us
+
+    def _heartbeat(self, message: Heartbeat, received_us: int) -> None:
+        if self.autopilot != message.autopilot:
+            self._resolve(message.autopilot)
+
+    def _system_time(self, message: SystemTime, received_us: int) -> None:
+        self.clock.system_time(message.unix_us, message.boot_us)
+
+    def _gps_raw(self, message: GpsRaw, received_us: int) -> None:
+        sources = self.sources
+        if sources is None:
+            self.dropped["GPS_RAW_INT before HEARTBEAT"] += 1
+            return
+        if sources.heading == "gps_yaw" and message.yaw is not None and message.fix_type >= 3:
+            self._use_heading(message, message.yaw, message.hdg_acc, "gps_yaw", received_us)
+        self._quality = message
+        self._quality_us = received_us
+        if sources.gnss != "gps_raw_int":
+            return
+        v_l = None
+        if message.speed is not None and message.course is not None:
+            v_l = (
+                message.speed * math.cos(message.course),
+                message.speed * math.sin(message.course),
+                math.nan,
+            )
+            vertical = self._vertical
+            if sources.vertical_velocity and vertical is not None:
+                fresh = abs(received_us - vertical[0]) <= VERTICAL_US
+                v_l = (v_l[0], v_l[1], vertical[1] if fresh else math.nan)
+        self._use_fix(
+            message, message.alt, v_l, message.fix_type, message.satellites, message.h_acc,
+            message.v_acc, message.vel_acc, received_us,
+        )
+
+    def _global_position(self, message: GlobalPosition, received_us: int) -> None:
+        sources = self.sources
+        self._vertical = (received_us, message.v_l[2])
+        if sources is None or sources.gnss != "global_position_int":
+            return
+        quality = self._quality
+        if quality is None or received_us - self._quality_us > PAIR_US:
+            self.dropped["GLOBAL_POSITION_INT without GPS_RAW_INT"] += 1
+            return
+        v_l = message.v_l if sources.vertical_velocity else (*message.v_l[:2], math.nan)
+        self._use_fix(
+            message, message.alt, v_l, quality.fix_type, quality.satellites, quality.h_acc,
+            quality.v_acc, quality.vel_acc, received_us,
+        )
+
+    def _gps_input(self, message: GpsInput, received_us: int) -> None:
+        if self.sources is None or self.sources.gnss != "gps_input" or message.alt is None:
+            return
+        self._use_fix(
+            message, message.alt, message.v_l, message.fix_type, message.satellites, message.h_acc,
+            message.v_acc, message.vel_acc, received_us,
+        )
+
+    def _hil_gps(self, message: HilGps, received_us: int) -> None:
+        if self.sources is None or self.sources.gnss != "hil_gps":
+            return
+        self._use_fix(
+            message, message.alt, message.v_l, message.fix_type, message.satellites, None, None,
+            None, received_us,
+        )
+
+    def _attitude(self, message: Attitude, received_us: int) -> None:
+        if self.sources is not None and self.sources.heading == "attitude":
+            self._use_heading(message, message.yaw, None, "attitude", received_us)
+
+    def _use_fix(
+        self,
+        message: GpsRaw | GlobalPosition | GpsInput | HilGps,
+        alt: float,
+        v_l: tuple[float, float, float] | None,
+        fix_type: int,
+        satellites: int | None,
+        sigma_h: float | None,
+        sigma_v: float | None,
+        sigma_speed: float | None,
+        received_us: int,
+    ) -> None:
+        """Hand a fix over, once per stamp."""
+        assert self.sources is not None
+        if message.stamp_us == self._fix_stamp:
+            self.dropped[f"{message.kind} repeated stamp"] += 1
+            return
+        t_us = self._time_of(message, received_us)
+        if t_us is None:
+            return
+        self._fix_stamp = message.stamp_us
+        utc = is_unix(message.stamp_us) and not is_unix(self.clock.newest_us or 0)
+        fix = GnssFix(
+            t_us=t_us,
+            lat=message.lat,
+            lon=message.lon,
+            alt=alt,
+            v_l=v_l,
+            fix_type=fix_type,
+            satellites=satellites,
+            sigma_h=sigma_h,
+            sigma_v=sigma_v,
+            sigma_speed=sigma_speed,
+            source=message.kind,
+            delay=self.sources.utc_delay if utc else self.sources.gnss_delay,
+        )
+        self.last_fix = fix
+        self.estimator.feed_gnss(fix)
+
+    def _use_heading(
+        self, message: GpsRaw | Attitude, yaw: float, sigma: float | None, source: str, received_us: int
+    ) -> None:
+        """Hand a heading over, no oftener than the sources allow."""
+        assert self.sources is not None
+        t_us = self._time_of(message, received_us)
+        if t_us is None:
+            return
+        rate = self.sources.heading_rate
+        # a twentieth of slack: stamps on a grid must not fall just short of it
+        if rate is not None and self._heading_us is not None and 0 <= t_us - self._heading_us < 0.95e6 / rate:
+            return
+        self._heading_us = t_us
+        self.estimator.feed_heading(HeadingFix(t_us, yaw, sigma, source, self.sources.heading_delay))

@@ -1,0 +1,136 @@
+"""The result folder: estimates.csv and innovations.csv, written alike by a live service and by a replay.
+
+estimates.csv holds SI units and radians: p in n, velocity and attitude in the local level frame.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any, Final
+
+import numpy as np
+
+from mavins.errors import OutputError
+from mavins.estimator.fusion import Event
+from mavins.estimator.solution import WIDTH, describe
+from mavins.filters.base import RowBlock
+from mavins.nav.earth import TangentFrame
+from mavins.types import FloatArray
+
+ESTIMATES: Final = (
+    "t_us,lat_deg,lon_deg,alt_m,p_n,p_e,p_d,v_n,v_e,v_d,roll,pitch,yaw,q_w,q_x,q_y,q_z,"
+    "sd_p_n,sd_p_e,sd_p_d,sd_v_n,sd_v_e,sd_v_d,sd_roll,sd_pitch,sd_yaw,"
+    "b_g_x,b_g_y,b_g_z,b_a_x,b_a_y,b_a_z"
+)
+INNOVATIONS: Final = (
+    "t_us,stamp_us,aiding,source,accepted,reason,nis,"
+    "innovation_0,innovation_1,innovation_2,sigma_0,sigma_1,sigma_2"
+)
+_ROW: Final = "%d,%.10f,%.10f" + ",%.9g" * (WIDTH - 2) + "\n"
+_DEGREES: Final = 180.0 / math.pi
+
+
+class ResultWriter:
+    """Writes rows and decisions as they come; `watch` sees each block of described rows too (t_us (N,), (N, 31))."""
+
+    def __init__(self, folder: Path, keep: bool = False) -> None:
+        self._estimates = _open(folder / "estimates.csv", ESTIMATES)
+        self._innovations = _open(folder / "innovations.csv", INNOVATIONS)
+        self._keep = keep
+        self._kept: list[tuple[FloatArray, FloatArray]] = []
+        self.rows = 0
+        self.bounds_us: tuple[int, int] | None = None
+
+    def write_rows(self, block: RowBlock, frame: TangentFrame) -> None:
+        """Write the estimates of a block that lie within the bounds."""
+        n = block.count
+        t_us = block.t_us[:n].copy()
+        rows = np.empty((n, WIDTH))
+        describe(block.x[:n], block.P[:n], frame.r0_e, frame.C_ne, rows)
+        if self.bounds_us is not None:
+            inside = (t_us >= self.bounds_us[0]) & (t_us <= self.bounds_us[1])
+            t_us, rows = t_us[inside], rows[inside]
+        self.rows += len(t_us)
+        if self._keep and len(t_us):
+            self._kept.append((t_us, rows.copy()))
+        rows[:, :2] *= _DEGREES
+        write = self._estimates.write
+        for t, row in zip(t_us.tolist(), rows.tolist(), strict=True):
+            write(_ROW % (t, *row))
+
+    def write_decision(self, event: Event) -> None:
+        """Write the final decision on a measurement."""
+        m = event.measurement
+        if self.bounds_us is not None and not self.bounds_us[0] <= m.t_us <= self.bounds_us[1]:
+            return
+        numbers = [event.nis, *_three(event.innovation), *_three(event.sigma)]
+        text = ",".join("" if math.isnan(v) else f"{v:.9g}" for v in numbers)
+        self._innovations.write(
+            f"{m.t_us},{m.stamp_us},{m.aiding},{m.source},{int(event.accepted)},{event.reason},{text}\n"
+        )
+
+    def table(self) -> tuple[FloatArray, FloatArray]:
+        """All rows written so far as (t_us (N,), rows (N, 31)), where they were kept."""
+        if not self._kept:
+            return np.empty(0, dtype=np.int64), np.empty((0, WIDTH))
+        times, rows = zip(*self._kept, strict=True)
+        return np.concatenate(times), np.concatenate(rows)
+
+    def close(self) -> None:
+        """Write what is buffered and close the files."""
+        for file in (self._estimates, self._innovations):
+            file.close()
+
+    def __enter__(self) -> ResultWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def _three(values: FloatArray) -> list[float]:
+    padded = values.tolist()[:3]
+    return padded + [math.nan] * (3 - len(padded))
+
+
+def _open(path: Path, header: str) -> IO[str]:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        file = path.open("w", encoding="ascii", newline="\n", buffering=1 << 16)
+    except OSError as error:
+        raise OutputError(
+            f"cannot write {path}: {error.strerror}; choose another --out folder"
+        ) from error
+    file.write(header + "\n")
+    return file
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a small file whole: aside, then renamed into place."""
+    aside = path.with_name(path.name + ".part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        aside.write_text(text, encoding="utf-8")
+        aside.replace(path)
+    except OSError as error:
+        raise OutputError(f"cannot write {path}: {error.strerror}; choose another --out folder") from error
+
+
+def write_json(path: Path, content: dict[str, Any]) -> None:
+    """Write a dictionary as JSON; what is not a finite number becomes null."""
+    write_text(path, json.dumps(_finite(content), indent=2) + "\n")
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(k): _finite(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(v) for v in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
