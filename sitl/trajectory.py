@@ -18,7 +18,6 @@ from typing import Annotated, Final, Literal, TypeAlias
 import numpy as np
 from annotated_types import Len
 from pydantic import Field
-from scipy.interpolate import BPoly
 
 from mavins.errors import ScenarioError
 from mavins.nav.earth import TangentFrame
@@ -27,7 +26,7 @@ from sitl.frames import gravity_along, to_local_level
 from sitl.plan import Segment, commanded
 from sitl.rotations import euler_to_quats, quats_to_dcms, rates_of
 from sitl.settings import Positive, Settings
-from sitl.spline import UniformSpline, sharpen
+from sitl.spline import UniformSpline, quintic, sharpen
 
 POSITION_DEGREE: Final = 7
 ATTITUDE_DEGREE: Final = 5
@@ -173,15 +172,13 @@ def _of_track(track: Track, origin: Origin) -> Trajectory:
     still = np.zeros(6)
     rest = first - 0.5 * track.run_up * v_first
     rest[3:] = [0.0, first[4], first[5]]
-    turns = np.round((last[5] - rest[5]) / (2.0 * math.pi))
     home = rest.copy()
-    home[5] += 2.0 * math.pi * turns
-    n_up, n_back = math.ceil(track.run_up / h), math.ceil(track.come_back / h)
-    up = BPoly.from_derivatives([0.0, n_up * h], [[rest, still, still], [first, v_first, still]])
-    back = BPoly.from_derivatives([0.0, n_back * h], [[last, v_last, still], [home, still, still]])
-    way = [up(h * np.arange(n_up)), poses, back(h * np.arange(1, n_back)), home[None, :]]
+    home[5] += 2.0 * math.pi * np.round((last[5] - rest[5]) / (2.0 * math.pi))
+    up = quintic(math.ceil(track.run_up / h), h, (rest, still), (first, v_first))
+    back = quintic(math.ceil(track.come_back / h), h, (last, v_last), (home, still))
+    way = np.concatenate([rest[None, :], up, poses, back, home[None, :]])
     # from the place of rest, where the numbers are then 0 to the last bit
-    path, period = _at_rest_around(np.concatenate(way) - rest, h, track.stand, REACH + 1)
+    path, period = _at_rest_around(way - rest, h, track.stand, REACH + 1)
     curve = UniformSpline.through(sharpen(path, POSITION_DEGREE), h, POSITION_DEGREE, 0)
     t = _attitude_times(period)
     controls = sharpen(path[:, :3], POSITION_DEGREE)
