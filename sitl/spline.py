@@ -62,7 +62,7 @@ class UniformSpline:
         """The derivative of this order, (N, d), at times t (N,)."""
         c, k = self.orders[order], self.degree - order
         x = t / self.spacing
-        i = np.clip(np.floor(x).astype(np.int64), 0, len(c) - 1 - k)
+        i = np.minimum(x.astype(np.int64), len(c) - 1 - k)
         w = np.vander(x - i, k + 1, increasing=True) @ weights(k)
         values: FloatArray = np.einsum("nj,njd->nd", w, c[i[:, None] + np.arange(k + 1)])
         return values

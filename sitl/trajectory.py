@@ -4,7 +4,7 @@ Position and attitude are B-splines of time; velocity, acceleration and rates ar
 so a perfect INS that integrates `inertial` comes back to `at`. A cycle stands, moves, returns and
 stands; time runs on through cycle after cycle. Vectors are in the tangent frame n at the scenario's
 origin, or in b.
-Theory: docs/theory/ins.md.
+Theory: docs/theory/mechanization.md.
 """
 
 from __future__ import annotations
