@@ -133,7 +133,7 @@ class Frames:
 
     @property
     def t_us(self) -> IntArray:
-        """Reception stamps of a tlog in microseconds, (N,); 0 in a datagram."""
+        """Reception stamps in microseconds, (N,): of a tlog, or as given to `scan`."""
         return self._column(T_US)
 
     def packet(self, i: int) -> bytes:
@@ -151,9 +151,9 @@ class Frames:
         return Frames(self.data, np.ascontiguousarray(self.table[:, chosen]), self.damage)
 
 
-def scan(data: Buffer) -> Frames:
-    """All intact packets of one datagram (or any other run of packets)."""
-    return _frames(data, 0)
+def scan(data: Buffer, received_us: int = 0) -> Frames:
+    """All intact packets of one datagram (or any other run of packets), all received at once."""
+    return _frames(data, 0, received_us)
 
 
 def scan_tlog(data: Buffer) -> Frames:
@@ -161,17 +161,17 @@ def scan_tlog(data: Buffer) -> Frames:
 
     A packet whose stamp is cut off by damage takes the stamp of the packet before.
     """
-    return _frames(data, STAMP_LENGTH)
+    return _frames(data, STAMP_LENGTH, 0)
 
 
-def _frames(data: Buffer, lead: int) -> Frames:
+def _frames(data: Buffer, lead: int, received_us: int) -> Frames:
     view = np.frombuffer(data, np.uint8)
     if not isinstance(data, bytes):
         # a kernel is compiled anew for each kind of argument: all buffers look read-only to it
         view.flags.writeable = False
     # room for the shortest packets; of a large table only the pages that are used take memory
     table = np.empty((9, view.size // (lead + 8) + 1), np.int64)
-    count, bad_crc, unknown, skipped, truncated = _walk(view, lead, WIRE, table)
+    count, bad_crc, unknown, skipped, truncated = _walk(view, lead, received_us, WIRE, table)
     damage = Damage(bad_crc, unknown, skipped, truncated) if unknown or skipped else _UNHURT
     return Frames(view, table[:, :count].copy(), damage)
 
@@ -237,7 +237,7 @@ def _header(data: NDArray[np.uint8], start: int, wire: IntArray, row: IntArray) 
 
 @kernel
 def _walk(
-    data: NDArray[np.uint8], lead: int, wire: IntArray, table: IntArray
+    data: NDArray[np.uint8], lead: int, received_us: int, wire: IntArray, table: IntArray
 ) -> tuple[int, int, int, int, int]:
     """Fill `table` (9, capacity); `lead` bytes go before each packet.
 
@@ -245,6 +245,7 @@ def _walk(
     """
     size = data.size
     row = np.zeros(9, np.int64)
+    row[T_US] = received_us
     count = bad_crc = unknown = skipped = truncated = 0
     done = 0  # all before is accounted for
     start = expected = lead  # where a packet begins if nothing is damaged: a failure there counts

@@ -50,6 +50,7 @@ def test_sim_state_takes_the_stamp_of_the_raw_imu_before_it() -> None:
     assert np.degrees(truth.lat) * 1e7 == pytest.approx([20, 40])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "sysid", "source", "home"),
     [

@@ -59,6 +59,11 @@ def test_one_packet_after_another() -> None:
     assert not frames.damage
 
 
+def test_all_packets_of_a_datagram_have_its_reception_stamp() -> None:
+    assert scan(b"".join(packets(3)), received_us=123).t_us.tolist() == [123] * 3
+    assert scan(packets(1)[0]).t_us.tolist() == [0]
+
+
 def test_every_kind_of_buffer_reads_alike() -> None:
     data = b"".join(packets(3))
     array = np.frombuffer(data, np.uint8).copy()
