@@ -87,17 +87,29 @@ def replay(
     write_text(folder / "config.yaml", to_yaml(config))
     t_us, rows = writer.table()
     summary = summarize(estimator, intake)
-    summary = {"mavins": __version__, "log": str(log), "filter": config.filter, "sysid": sysid, **summary}
+    summary = {
+        "mavins": __version__,
+        "log": str(log),
+        "filter": config.filter,
+        "sysid": sysid,
+        **summary,
+    }
     truth = truth_of(frames, sysid)
     if truth is not None and len(truth) > 1 and len(t_us):
-        table = (truth.t_us, np.column_stack([truth.lat, truth.lon, truth.alt]), truth.v_l, truth.q_lb)
+        table = (
+            truth.t_us,
+            np.column_stack([truth.lat, truth.lon, truth.alt]),
+            truth.v_l,
+            truth.q_lb,
+        )
         judged = errors_against(t_us, rows[:, LLA], rows[:, V_L], rows[:, EULER], table)
         summary["truth"] = {"source": truth.source, **judged.summary()}
     covered = (int(frames.t_us[-1]) - int(frames.t_us[0])) * 1e-6
     summary["log_s"] = covered
     summary["rows"] = writer.rows
     summary["damage"] = {
-        name: getattr(frames.damage, name) for name in ("bad_crc", "unknown", "skipped_bytes", "truncated")
+        name: getattr(frames.damage, name)
+        for name in ("bad_crc", "unknown", "skipped_bytes", "truncated")
     }
     summary["wall_s"] = time.perf_counter() - wall
     summary["cpu_s"] = time.process_time() - cpu
@@ -109,7 +121,9 @@ def replay(
 def summarize(estimator: Estimator, intake: Intake) -> dict[str, Any]:
     """What a run saw and decided: messages, drops, aidings with their innovation statistics, health."""
     return {
-        "imu": None if intake.imu is None else {"message": IMU_KINDS[intake.imu[0]], "id": intake.imu[1]},
+        "imu": None
+        if intake.imu is None
+        else {"message": IMU_KINDS[intake.imu[0]], "id": intake.imu[1]},
         "messages": dict(intake.counts),
         "dropped": {k: v for k, v in (intake.dropped + estimator.dropped).items() if v},
         "imu_samples": estimator.imu_rows,

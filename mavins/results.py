@@ -88,7 +88,10 @@ class ResultWriter:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        value: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self.close()
 
@@ -118,7 +121,9 @@ def write_text(path: Path, text: str) -> None:
         aside.write_text(text, encoding="utf-8")
         aside.replace(path)
     except OSError as error:
-        raise OutputError(f"cannot write {path}: {error.strerror}; choose another --out folder") from error
+        raise OutputError(
+            f"cannot write {path}: {error.strerror}; choose another --out folder"
+        ) from error
 
 
 def write_json(path: Path, content: dict[str, Any]) -> None:

@@ -146,4 +146,3 @@ class Aligner:
         v = np.full(3, math.nan) if candidate.fix.v_l is None else np.array(candidate.fix.v_l)
         sigmas = np.where(np.isnan(v), 3.0, sigma)
         return np.nan_to_num(v), np.diag(sigmas**2)
-

@@ -34,9 +34,7 @@ def level(f_b: FloatArray, push_n: FloatArray, yaw: float) -> FloatArray:
     # x cos(p) - z sin(p) = h cos(p + a) with a = atan2(z, x): of both solutions the one nearer to level
     a = math.atan2(z, x)
     b = math.acos(min(1.0, max(-1.0, float(f[0]) / h)))
-    pitch = min(
-        (math.remainder(b - a, 2 * math.pi), math.remainder(-b - a, 2 * math.pi)), key=abs
-    )
+    pitch = min((math.remainder(b - a, 2 * math.pi), math.remainder(-b - a, 2 * math.pi)), key=abs)
     z1 = math.sin(pitch) * x + math.cos(pitch) * z
     roll = math.atan2(float(f[1]), float(f[2])) - math.atan2(y, z1)
     return euler_to_quat(math.remainder(roll, 2 * math.pi), pitch, yaw)

@@ -59,7 +59,7 @@ class ImuBuffer:
 
     def insert(self, t_us: int, reading: FloatArray) -> int:
         """Put a late row where it belongs and return its number; later rows move up by one."""
-        i = int(np.searchsorted(self._t[: self._length], t_us))
+        i = int(self._t[: self._length].searchsorted(t_us))
         if self._length + 1 > len(self._t):
             self._grow(self._length + 1)
         end = self._length
@@ -75,7 +75,7 @@ class ImuBuffer:
 
         Rows move in memory only when half of the table is stale, so that a row is moved about once.
         """
-        stale = int(np.searchsorted(self._t[: self._length], t_us)) - 1
+        stale = int(self._t[: self._length].searchsorted(t_us)) - 1
         if stale < len(self._t) // 2:
             return
         kept = self._length - stale
@@ -86,7 +86,7 @@ class ImuBuffer:
 
     def contains(self, t_us: int) -> bool:
         """True where a row has exactly this stamp."""
-        i = int(np.searchsorted(self._t[: self._length], t_us))
+        i = int(self._t[: self._length].searchsorted(t_us))
         return i < self._length and int(self._t[i]) == t_us
 
     def times(self, first: int, end: int) -> IntArray:
@@ -99,11 +99,11 @@ class ImuBuffer:
 
     def row_after(self, t_us: int) -> int:
         """The number of the first row with a stamp later than t_us."""
-        return self._first + int(np.searchsorted(self._t[: self._length], t_us, side="right"))
+        return self._first + int(self._t[: self._length].searchsorted(t_us, "right"))
 
     def reading_at(self, t_us: int) -> FloatArray:
         """The reading (6,) at an instant between two rows, on the line that joins them."""
-        i = int(np.searchsorted(self._t[: self._length], t_us))
+        i = int(self._t[: self._length].searchsorted(t_us))
         if i == 0 or int(self._t[i]) == t_us:
             return self._imu[i].copy()
         t0, t1 = int(self._t[i - 1]), int(self._t[i])

@@ -12,7 +12,7 @@ import math
 from bisect import bisect_right, insort
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -45,8 +45,10 @@ from mavins.types import (
 TICK_US = 200_000
 """Standing, time-outs and health are looked at when the IMU stamps pass a multiple of this."""
 SNAPSHOT_US = 40_000
-LONGEST_RUN = 64
+LONGEST_RUN = 25
 """IMU rows that are walked at most without a snapshot."""
+ROWS_HELD = 512
+"""Output rows are handed over in blocks; `flush` hands over what there is."""
 RESETS_TO_DIVERGE = 3
 DIVERGE_WITHIN_US = 60_000_000
 
@@ -83,8 +85,9 @@ class Estimator:
         self.filter: Filter = make(filter_name, self._noise)
         self._buffer_us = round(settings.estimator.buffer * 1e6)
         self._imu_delay_us = round(settings.imu.delay * 1e6)
+        self._max_gap_us = round(settings.estimator.max_gap * 1e6)
         self._rotation = _rotation(settings.imu.rotation)
-        self._rows = RowBlock.empty(LONGEST_RUN)
+        self._rows = RowBlock.empty(ROWS_HELD)
         self.frame: TangentFrame | None = None
         self._wanted_origin: Origin | None = None
         self.statistics: dict[str, AidingStatistics] = {}
@@ -125,6 +128,7 @@ class Estimator:
         self._wanted_origin = origin
         if self.frame is None:
             return
+        self.flush()
         old, new = self.frame, TangentFrame.at(origin)
         self._finish_decisions(None)
         self.frame = new
@@ -151,8 +155,8 @@ class Estimator:
                 self._late_sample(int(t_us[start]), imu[start])
                 start += 1
                 continue
-            end = self._run_length(t_us, start, newest)
-            if newest is not None and t_us[start] - newest > self.settings.estimator.max_gap * 1e6:
+            end = run_end(t_us, start, -1 if newest is None else newest, self._max_gap_us)
+            if newest is not None and t_us[start] - newest > self._max_gap_us:
                 self._lost(f"IMU gap of {(t_us[start] - newest) * 1e-6:.1f} s", Health.ALIGNING)
             self._take_rows(t_us[start:end], imu[start:end], newest)
             start = end
@@ -169,13 +173,9 @@ class Estimator:
         settings = self.settings.gnss
         noise = noise_of(fix, settings)
         self._take(
-            gnss_position.measure(
-                fix, t_us, self.frame, noise.h, noise.v, settings.gate, quality
-            )
+            gnss_position.measure(fix, t_us, self.frame, noise.h, noise.v, settings.gate, quality)
         )
-        velocity = gnss_velocity.measure(
-            fix, t_us, self.frame, noise.speed, settings.gate, quality
-        )
+        velocity = gnss_velocity.measure(fix, t_us, self.frame, noise.speed, settings.gate, quality)
         if velocity is not None:
             self._take(velocity)
 
@@ -194,7 +194,8 @@ class Estimator:
         return fix.sigma if fix.sigma is not None else math.radians(self.settings.heading.sigma_deg)
 
     def finish(self) -> None:
-        """No more input: write the decisions that are still open."""
+        """No more input: hand over the rows that are held and the decisions that are still open."""
+        self.flush()
         self._finish_decisions(None)
 
     # ---- the time line -----------------------------------------------------------------------------------------
@@ -209,33 +210,12 @@ class Estimator:
         self.health = health
         self.reason = reason
 
-    def _run_length(self, t_us: IntArray, start: int, newest: int | None) -> int:
-        """Where the run of rows from `start` ends: at the first row past a tick, before disorder or a gap."""
-        first = int(t_us[start])
-        before = first if newest is None else newest
-        max_gap = self.settings.estimator.max_gap * 1e6
-        end = start + 1
-        if before // TICK_US != first // TICK_US:
-            return end
-        last = first
-        stop = min(len(t_us), start + LONGEST_RUN)
-        while end < stop:
-            t = int(t_us[end])
-            if t <= last or t - last > max_gap:
-                return end
-            end += 1
-            if t // TICK_US != last // TICK_US:
-                return end
-            last = t
-        return end
-
     def _take_rows(self, t_us: IntArray, imu: FloatArray, newest: int | None) -> None:
         """Append rows, of which only the last may have passed a tick, and move the estimate through them."""
         self.imu_rows += len(t_us)
         self._buffer.append(t_us, imu)
         if self._state is not None:
             self._run(self._buffer.end - len(t_us), self._outputs.grid_us)
-            self._emit()
         last = int(t_us[-1])
         before = newest if len(t_us) == 1 else int(t_us[-2])
         if before is not None and last // TICK_US != before // TICK_US:
@@ -291,9 +271,12 @@ class Estimator:
         while True:
             event = self._events[i] if i < len(self._events) else None
             until = newest if event is None else min(newest, event.order[0])
-            end = min(buffer.row_after(until), first + LONGEST_RUN)
+            last = buffer.row_after(until)
+            end = min(last, first + LONGEST_RUN)
             if end > first:
-                previous = int(buffer.times(first - 1, first)[0]) if first > buffer.first else state.t_us
+                previous = (
+                    int(buffer.times(first - 1, first)[0]) if first > buffer.first else state.t_us
+                )
                 self.filter.walk(
                     state,
                     frame,
@@ -304,14 +287,16 @@ class Estimator:
                     rows,
                 )
                 first = end
-                if rows.count:
-                    self._emit()
-            if end < buffer.row_after(until):
+                if rows.count > ROWS_HELD - LONGEST_RUN:
+                    self.flush()
+            if end < last:
                 self._snapshot()
                 continue
             if event is None or event.order[0] > newest:
                 break
             if event.order[0] > state.t_us:
+                # all events up to here are in: a place to come back to
+                self._snapshot()
                 self.filter.advance(state, frame, event.order[0], buffer.reading_at(event.order[0]))
             self._fusion.fuse(state, event)
             i += 1
@@ -325,7 +310,8 @@ class Estimator:
             return
         self._snapshots.append(_Snapshot(state.copy(), self._fusion.track))
 
-    def _emit(self) -> None:
+    def flush(self) -> None:
+        """Hand over the output rows that are held."""
         if self._rows.count and self._outputs.rows is not None and self.frame is not None:
             self._outputs.rows(self._rows, self.frame)
         self._rows.count = 0
@@ -362,7 +348,10 @@ class Estimator:
         lately = [t for t in track.reset_times_us if now_us - t < DIVERGE_WITHIN_US]
         if len(lately) >= RESETS_TO_DIVERGE:
             self._lost(f"{len(lately)} resets within a minute", Health.DIVERGED)
-        elif math.sqrt(max(state.P[0, 0], state.P[1, 1])) > self.settings.estimator.max_position_sigma:
+        elif (
+            math.sqrt(max(state.P[0, 0], state.P[1, 1]))
+            > self.settings.estimator.max_position_sigma
+        ):
             self._lost("position sigma beyond its limit", Health.DIVERGED)
         elif silent > self.settings.estimator.dead_reckoning_after:
             self.health = Health.DEAD_RECKONING
@@ -439,12 +428,12 @@ class Estimator:
         fix = candidate.fix
         if self.frame is None:
             self.frame = TangentFrame.at(self._wanted_origin or Origin(fix.lat, fix.lon, fix.alt))
-        x, P = self._aligner.start(candidate, self.frame, self.filter.layout.size, self.heading_sigma)
+        x, P = self._aligner.start(
+            candidate, self.frame, self.filter.layout.size, self.heading_sigma
+        )
         first = self._buffer.row_after(candidate.t_us)
         self._state = FilterState(x, P, self._buffer.reading_at(candidate.t_us), candidate.t_us)
-        self._fusion.track = replace(
-            self._fusion.track, accepted_us=(candidate.t_us, candidate.t_us, candidate.t_us)
-        )
+        self._fusion.track = Track(accepted_us=(candidate.t_us,) * 3)
         self._snapshots = [_Snapshot(self._state.copy(), self._fusion.track)]
         self.health = Health.RUNNING
         self.reason = ""
@@ -453,6 +442,27 @@ class Estimator:
 
 def _rotation(angles: tuple[float, float, float]) -> FloatArray | None:
     return None if angles == (0.0, 0.0, 0.0) else quat_to_dcm(euler_to_quat(*angles))
+
+
+@kernel
+def run_end(t_us: IntArray, start: int, newest_us: int, max_gap_us: int) -> int:
+    """Where the run of stamps t_us (N,) from `start` ends: after the first one past a tick, before disorder or a gap.
+
+    `newest_us` is the stamp before the run, -1 for none.
+    """
+    last = t_us[start]
+    if newest_us >= 0 and last // TICK_US != newest_us // TICK_US:
+        return start + 1
+    end = start + 1
+    while end < len(t_us):
+        t = t_us[end]
+        if t <= last or t - last > max_gap_us:
+            break
+        end += 1
+        if t // TICK_US != last // TICK_US:
+            break
+        last = t
+    return end
 
 
 @kernel

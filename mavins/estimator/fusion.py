@@ -7,8 +7,8 @@ which is saved and restored with the filter state.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
-from typing import Final
+from dataclasses import dataclass, field
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -22,13 +22,12 @@ RESETTABLE: Final = {gnss_position.NAME: (0, 0), gnss_velocity.NAME: (1, 3)}
 """aiding -> (place in Track, first state) of what can be reset to GNSS."""
 
 
-@dataclass(frozen=True, slots=True)
-class Track:
+class Track(NamedTuple):
     """What the fusion remembers: times in us (-1: never) of the last accepted position, velocity and heading, since when
-    position and velocity have been rejected without a break, and how many resets there were."""
+    position and velocity have been rejected without a break, and when the last resets were, of how many."""
 
-    accepted_us: tuple[int, int, int] = (-1, -1, -1)
-    rejected_since_us: tuple[int, int] = (-1, -1)
+    accepted_us: tuple[int, ...] = (-1, -1, -1)
+    rejected_since_us: tuple[int, ...] = (-1, -1)
     resets: int = 0
     reset_times_us: tuple[int, ...] = ()
 
@@ -100,9 +99,9 @@ class Fusion:
         if m.rank < len(track.accepted_us):
             accepted = _put(track.accepted_us, m.rank, m.t_us)
             since = track.rejected_since_us
-            if m.rank < len(since):
-                since = _put(since, m.rank, -1)  # type: ignore[assignment]
-            self.track = replace(track, accepted_us=accepted, rejected_since_us=since)
+            if m.rank < len(since) and since[m.rank] >= 0:
+                since = _put(since, m.rank, -1)
+            self.track = Track(accepted, since, track.resets, track.reset_times_us)
 
     def _reject(
         self, state: FilterState, m: Measurement, event: Event, r: FloatArray, H: FloatArray
@@ -113,16 +112,15 @@ class Fusion:
         since = self.track.rejected_since_us[place]
         if since < 0:
             since = m.t_us
-            self.track = replace(
-                self.track, rejected_since_us=_put(self.track.rejected_since_us, place, since)
+            self.track = self.track._replace(
+                rejected_since_us=_put(self.track.rejected_since_us, place, since)
             )
         if m.t_us - since < self._reset_after_us:
             return
         _reset_block(state, first, r, H, m.R)
         event.reason = "reset"
         self._accept(m)
-        self.track = replace(
-            self.track,
+        self.track = self.track._replace(
             resets=self.track.resets + 1,
             reset_times_us=(*self.track.reset_times_us[-7:], m.t_us),
         )

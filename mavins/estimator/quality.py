@@ -97,6 +97,9 @@ class StartGate:
         v = fix.v_l or (0.0, 0.0, 0.0)
         if math.hypot(moved_n - v[0] * dt, moved_e - v[1] * dt) > slack:
             return "position and speed disagree"
-        if speed > self._settings.max_standing_speed and math.hypot(moved_n, moved_e) < 0.3 * speed * dt:
+        if (
+            speed > self._settings.max_standing_speed
+            and math.hypot(moved_n, moved_e) < 0.3 * speed * dt
+        ):
             return "speed while standing"
         return ""

@@ -18,10 +18,17 @@ class ImuSettings:
 
     rotation: Annotated[
         Vector3,
-        Doc("Roll, pitch, yaw that turn the sensor's axes into the body's (forward, right, down).", "rad"),
+        Doc(
+            "Roll, pitch, yaw that turn the sensor's axes into the body's (forward, right, down).",
+            "rad",
+        ),
     ] = (0.0, 0.0, 0.0)
-    delay: Annotated[float, Ge(-1), Le(1), Doc("A sample was valid this long before its stamp.", "s")] = 0.0
-    gyro_noise: Annotated[float, Gt(0), Le(10), Doc("Gyro noise density.", "rad/s/sqrt(Hz)")] = 0.015
+    delay: Annotated[
+        float, Ge(-1), Le(1), Doc("A sample was valid this long before its stamp.", "s")
+    ] = 0.0
+    gyro_noise: Annotated[float, Gt(0), Le(10), Doc("Gyro noise density.", "rad/s/sqrt(Hz)")] = (
+        0.015
+    )
     accel_noise: Annotated[
         float, Gt(0), Le(100), Doc("Accelerometer noise density.", "m/s^2/sqrt(Hz)")
     ] = 0.35
@@ -31,7 +38,9 @@ class ImuSettings:
     accel_bias_walk: Annotated[
         float, Ge(0), Le(10), Doc("Random walk of the accelerometer bias.", "m/s^3/sqrt(Hz)")
     ] = 3e-3
-    gyro_bias_sigma: Annotated[float, Gt(0), Le(1), Doc("Gyro bias at start, 1-sigma.", "rad/s")] = 0.01
+    gyro_bias_sigma: Annotated[
+        float, Gt(0), Le(1), Doc("Gyro bias at start, 1-sigma.", "rad/s")
+    ] = 0.01
     accel_bias_sigma: Annotated[
         float, Gt(0), Le(10), Doc("Accelerometer bias at start, 1-sigma.", "m/s^2")
     ] = 0.2
@@ -43,12 +52,22 @@ class GnssSettings:
 
     delay: Annotated[
         Literal["auto"] | Annotated[float, Ge(-1), Le(2)],
-        Doc("A fix was valid this long before its stamp; auto: 0.14 s on ArduPilot, 0 on others.", "s"),
+        Doc(
+            "A fix was valid this long before its stamp; auto: 0.14 s on ArduPilot, 0 on others.",
+            "s",
+        ),
     ] = "auto"
     utc_delay: Annotated[
-        float, Ge(-1), Le(2), Doc("The same for fixes that are stamped in UTC by the receiver.", "s")
+        float,
+        Ge(-1),
+        Le(2),
+        Doc("The same for fixes that are stamped in UTC by the receiver.", "s"),
     ] = 0.0
-    lever_arm: Annotated[Vector3, Doc("From the IMU to the antenna, body frame.", "m")] = (0.0, 0.0, 0.0)
+    lever_arm: Annotated[Vector3, Doc("From the IMU to the antenna, body frame.", "m")] = (
+        0.0,
+        0.0,
+        0.0,
+    )
     position_floor: Annotated[
         float, Gt(0), Le(1000), Doc("The position sigma is never taken smaller than this.", "m")
     ] = 0.5
@@ -58,9 +77,14 @@ class GnssSettings:
     rtk_position_floor: Annotated[
         float, Gt(0), Le(1000), Doc("The same for RTK fixes (fix types 5 and 6).", "m")
     ] = 0.05
-    rtk_velocity_floor: Annotated[float, Gt(0), Le(100), Doc("The same for RTK fixes.", "m/s")] = 0.1
+    rtk_velocity_floor: Annotated[float, Gt(0), Le(100), Doc("The same for RTK fixes.", "m/s")] = (
+        0.1
+    )
     position_sigma: Annotated[
-        float, Gt(0), Le(1000), Doc("Horizontal position sigma where the receiver reports none.", "m")
+        float,
+        Gt(0),
+        Le(1000),
+        Doc("Horizontal position sigma where the receiver reports none.", "m"),
     ] = 1.5
     altitude_sigma: Annotated[
         float, Gt(0), Le(1000), Doc("Vertical position sigma where the receiver reports none.", "m")
@@ -68,7 +92,9 @@ class GnssSettings:
     velocity_sigma: Annotated[
         float, Gt(0), Le(100), Doc("Velocity sigma where the receiver reports none.", "m/s")
     ] = 0.5
-    gate: Annotated[float, Gt(0), Le(100), Doc("Innovation gate, in sigmas of one dimension.")] = 5.0
+    gate: Annotated[float, Gt(0), Le(100), Doc("Innovation gate, in sigmas of one dimension.")] = (
+        5.0
+    )
     min_satellites: Annotated[
         int, Ge(0), Le(50), Doc("Fewer satellites than this are not trusted (unknown is).")
     ] = 6
@@ -88,7 +114,10 @@ class GnssSettings:
         float, Gt(0), Le(10), Doc("A faster fix while the vehicle stands is not good.", "m/s")
     ] = 0.8
     max_standing_drift: Annotated[
-        float, Gt(0), Le(100), Doc("A fix that wanders faster than this while the vehicle stands is not good.", "m/s")
+        float,
+        Gt(0),
+        Le(100),
+        Doc("A fix that wanders faster than this while the vehicle stands is not good.", "m/s"),
     ] = 2.0
     reset_after: Annotated[
         float,
@@ -122,8 +151,12 @@ class ZeroVelocitySettings:
     """Zero velocity while the vehicle stands before its first motion."""
 
     enabled: Annotated[bool, Doc("Use it.")] = True
-    sigma: Annotated[float, Gt(0), Le(10), Doc("Noise of the pseudo-measurement, 1-sigma.", "m/s")] = 0.1
-    gate: Annotated[float, Gt(0), Le(100), Doc("Innovation gate, in sigmas of one dimension.")] = 5.0
+    sigma: Annotated[
+        float, Gt(0), Le(10), Doc("Noise of the pseudo-measurement, 1-sigma.", "m/s")
+    ] = 0.1
+    gate: Annotated[float, Gt(0), Le(100), Doc("Innovation gate, in sigmas of one dimension.")] = (
+        5.0
+    )
     gyro_limit: Annotated[
         float, Gt(0), Le(10), Doc("The mean rate of a quarter second stays below this.", "rad/s")
     ] = 0.03
@@ -131,9 +164,14 @@ class ZeroVelocitySettings:
         float,
         Gt(0),
         Le(10),
-        Doc("The mean specific force of a quarter second stays this near to the one before.", "m/s^2"),
+        Doc(
+            "The mean specific force of a quarter second stays this near to the one before.",
+            "m/s^2",
+        ),
     ] = 0.12
-    speed_limit: Annotated[float, Gt(0), Le(10), Doc("The GNSS speed stays below this.", "m/s")] = 0.8
+    speed_limit: Annotated[float, Gt(0), Le(10), Doc("The GNSS speed stays below this.", "m/s")] = (
+        0.8
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,13 +190,19 @@ class EstimatorSettings:
     """Time ordering and health."""
 
     buffer: Annotated[
-        float, Gt(0), Le(30), Doc("A measurement may be this late and still be fused where it belongs.", "s")
+        float,
+        Gt(0),
+        Le(30),
+        Doc("A measurement may be this late and still be fused where it belongs.", "s"),
     ] = 1.0
     max_gap: Annotated[
         float, Gt(0.2), Le(60), Doc("A longer gap between IMU samples starts a new alignment.", "s")
     ] = 2.0
     dead_reckoning_after: Annotated[
-        float, Gt(0), Le(600), Doc("Without an accepted GNSS measurement for this long: dead reckoning.", "s")
+        float,
+        Gt(0),
+        Le(600),
+        Doc("Without an accepted GNSS measurement for this long: dead reckoning.", "s"),
     ] = 2.5
     max_position_sigma: Annotated[
         float, Gt(0), Doc("A larger horizontal 1-sigma means that the filter is lost.", "m")

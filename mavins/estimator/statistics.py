@@ -7,10 +7,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-
 from mavins.estimator.fusion import Event
-from mavins.types import FloatArray
 
 
 @dataclass(slots=True)
@@ -21,9 +18,9 @@ class AidingStatistics:
     rejected: Counter[str] = field(default_factory=Counter)
     nis_sum: float = 0.0
     rows: int = 0
-    square_sum: FloatArray = field(default_factory=lambda: np.zeros(3))
-    variance_sum: FloatArray = field(default_factory=lambda: np.zeros(3))
-    noise_sum: FloatArray = field(default_factory=lambda: np.zeros(3))
+    square_sum: list[float] = field(default_factory=lambda: [0.0] * 3)
+    variance_sum: list[float] = field(default_factory=lambda: [0.0] * 3)
+    noise_sum: list[float] = field(default_factory=lambda: [0.0] * 3)
     last_ratio: float = math.nan
 
     def add(self, event: Event, gate: float) -> None:
@@ -32,22 +29,27 @@ class AidingStatistics:
         if not event.accepted:
             self.rejected[event.reason] += 1
             return
-        n = len(event.innovation)
         self.accepted += 1
         self.nis_sum += event.nis
-        self.rows += n
-        self.square_sum[:n] += event.innovation**2
-        self.variance_sum[:n] += event.sigma**2
-        self.noise_sum[:n] += np.diag(event.measurement.R)
+        self.rows += len(event.innovation)
+        R = event.measurement.R
+        for i, (r, sigma) in enumerate(
+            zip(event.innovation.tolist(), event.sigma.tolist(), strict=True)
+        ):
+            self.square_sum[i] += r * r
+            self.variance_sum[i] += sigma * sigma
+            self.noise_sum[i] += float(R[i, i])
 
     def summary(self) -> dict[str, Any]:
         """Counts, the mean NIS per row (1 where the noises are right), and per component the innovation's RMS, the
         sigma it was expected to have and the sigma assumed for the measurement alone, in SI units."""
         result: dict[str, Any] = {"accepted": self.accepted, "rejected": dict(self.rejected)}
         if self.accepted:
-            used = self.variance_sum > 0.0
-            result["nis_per_row"] = self.nis_sum / self.rows
-            result["innovation_rms"] = np.sqrt(self.square_sum[used] / self.accepted).tolist()
-            result["expected_rms"] = np.sqrt(self.variance_sum[used] / self.accepted).tolist()
-            result["assumed_noise"] = np.sqrt(self.noise_sum[used] / self.accepted).tolist()
+            used = [i for i, v in enumerate(self.variance_sum) if v > 0.0]
+            for name, sums in (
+                ("innovation_rms", self.square_sum),
+                ("expected_rms", self.variance_sum),
+                ("assumed_noise", self.noise_sum),
+            ):
+                result[name] = [math.sqrt(sums[i] / self.accepted) for i in used]
         return result

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from mavins.nav.earth import dcm_ne, lla_to_ecef
-from mavins.nav.so3 import quat_to_euler
+from mavins.nav.kernels import kernel
+from mavins.nav.so3 import quat_to_euler, wrap_pi
 from mavins.types import FloatArray, IntArray
 
 
@@ -70,12 +71,22 @@ def errors_against(
 ) -> Errors:
     """Errors of estimates (lat, lon, alt (N, 3), v_l (N, 3), Euler angles (N, 3)) against truth (t_us, lla, v_l, q_lb)."""
     true_lla, true_v, true_q, inside = interpolate_truth(at_us, *truth)
-    chosen = np.flatnonzero(inside)
-    pos = np.empty((len(chosen), 3))
-    att = np.empty((len(chosen), 3))
-    for row, i in enumerate(chosen):
-        difference = lla_to_ecef(*lla[i]) - lla_to_ecef(*true_lla[i])
-        pos[row] = dcm_ne(true_lla[i, 0], true_lla[i, 1]) @ difference
-        att[row] = euler[i] - quat_to_euler(true_q[i])
-    att = np.arctan2(np.sin(att), np.cos(att))
-    return Errors(at_us[chosen], pos, v_l[chosen] - true_v[chosen], att)
+    pos, att = _position_and_attitude(lla, euler, true_lla, true_q)
+    return Errors(at_us[inside], pos[inside], (v_l - true_v)[inside], att[inside])
+
+
+@kernel
+def _position_and_attitude(
+    lla: FloatArray, euler: FloatArray, true_lla: FloatArray, true_q: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Position errors (N, 3) in the true place's north, east, down and wrapped Euler angle errors (N, 3)."""
+    pos = np.empty(lla.shape)
+    att = np.empty(lla.shape)
+    for k in range(lla.shape[0]):
+        at = lla_to_ecef(lla[k, 0], lla[k, 1], lla[k, 2])
+        true_at = lla_to_ecef(true_lla[k, 0], true_lla[k, 1], true_lla[k, 2])
+        pos[k] = dcm_ne(true_lla[k, 0], true_lla[k, 1]) @ (at - true_at)
+        true_euler = quat_to_euler(true_q[k])
+        for i in range(3):
+            att[k, i] = wrap_pi(euler[k, i] - true_euler[i])
+    return pos, att

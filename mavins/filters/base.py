@@ -85,7 +85,9 @@ class Filter(Protocol):
         none if negative); `previous_us` is the stamp of the IMU row before the first.
         """
 
-    def advance(self, state: FilterState, frame: TangentFrame, t_us: int, reading: FloatArray) -> None:
+    def advance(
+        self, state: FilterState, frame: TangentFrame, t_us: int, reading: FloatArray
+    ) -> None:
         """Move `state` to an instant between two IMU rows, where the reading (6,) has been interpolated."""
 
     def update(

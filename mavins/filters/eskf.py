@@ -183,7 +183,9 @@ class Eskf:
         )
         state.t_us = int(t_us[-1])
 
-    def advance(self, state: FilterState, frame: TangentFrame, t_us: int, reading: FloatArray) -> None:
+    def advance(
+        self, state: FilterState, frame: TangentFrame, t_us: int, reading: FloatArray
+    ) -> None:
         """Move to an instant between two rows."""
         advance_to(
             state.x,
@@ -203,6 +205,3 @@ class Eskf:
     ) -> float:
         """Fuse a measurement."""
         return float(fuse(state.x, state.P, r, H, R, self.layout.columns, gate))
-
-
-

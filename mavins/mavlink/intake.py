@@ -12,6 +12,7 @@ from collections.abc import Callable
 from typing import Any, ClassVar, Final, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavins.estimator.estimator import Estimator
 from mavins.mavlink.clock import Clock, is_unix
@@ -25,11 +26,13 @@ from mavins.mavlink.codec import (
     GpsRaw,
     Heartbeat,
     HilGps,
+    ImuRows,
     Invalid,
     SystemTime,
     decode,
     decode_imu,
     fields_of,
+    name_of,
 )
 from mavins.mavlink.sources import Sources, SourceSettings, resolve
 from mavins.types import FloatArray, GnssFix, HeadingFix, ImuTable, IntArray
@@ -64,6 +67,28 @@ RELEVANT: Final = np.union1d(_IMU_IDS, _OTHER_IDS)
 """The message ids that an intake looks at; all others may be left out."""
 _FROM_ANY_COMPONENT: Final = ("GPS_INPUT", "HIL_GPS")
 _MAV_AUTOPILOT_INVALID: Final = 8
+_ATTITUDE_ID: Final = fields_of("ATTITUDE").msgid
+_GLOBAL_POSITION_ID: Final = fields_of("GLOBAL_POSITION_INT").msgid
+
+
+def _boot_us(frames: Frames, i: int) -> int:
+    """The boot milliseconds that such a packet's payload begins with, in microseconds."""
+    return int.from_bytes(frames.body(i, 4), "little") * 1000
+
+
+def _part(
+    rows: ImuRows, compid: IntArray, received_us: IntArray, which: slice | NDArray[np.bool_]
+) -> tuple[ImuRows, IntArray, IntArray]:
+    """Some of the rows of three things that belong together."""
+    part = ImuRows(
+        rows.stamp_us[which],
+        rows.accel_b[which],
+        rows.gyro_b[which],
+        rows.msgid[which],
+        rows.imu_id[which],
+        rows.valid[which],
+    )
+    return part, compid[which], received_us[which]
 
 
 class Stamped(Protocol):
@@ -96,7 +121,7 @@ class Intake:
         self._quality_us = 0
         self._vertical: tuple[int, float] | None = None
         self._fix_stamp: int | None = None
-        self._heading_us: int | None = None
+        self._heading_stamp: int | None = None
         self._imu_seen: dict[int, int] = {}
         self._handlers: dict[str, Callable[[Any, int], None]] = {
             "HEARTBEAT": self._heartbeat,
@@ -109,57 +134,86 @@ class Intake:
         }
 
     def take(self, frames: Frames) -> None:
-        """Take packets of this vehicle, in their order, each with its reception stamp in `frames.t_us`."""
-        is_imu = np.isin(frames.msgid, _IMU_IDS)
-        edges = np.flatnonzero(np.diff(is_imu)) + 1
-        for run in np.split(np.arange(len(frames)), edges):
-            if not len(run):
+        """Take packets of this vehicle, in their order, each with its reception stamp in `frames.t_us`.
+
+        IMU packets are put off until something comes whose place among them matters, and then go on together.
+        """
+        msgid = frames.msgid
+        for kind, n in zip(*np.unique(msgid, return_counts=True), strict=True):
+            self.counts[name_of(int(kind))] += int(n)
+        is_imu = np.isin(msgid, _IMU_IDS)
+        imu_at = np.flatnonzero(is_imu)
+        rows = decode_imu(frames, imu_at)
+        compid, received_us = frames.compid[imu_at], frames.t_us[imu_at]
+        taken = 0
+        others = np.flatnonzero(~is_imu)
+        for i, before in zip(
+            others.tolist(), np.searchsorted(imu_at, others).tolist(), strict=True
+        ):
+            if self._is_idle(frames, i):
                 continue
-            if is_imu[run[0]]:
-                self._take_imu(frames, run)
-            else:
-                for i in run.tolist():
-                    self._take_other(frames, i)
+            if before > taken:
+                self._take_imu(*_part(rows, compid, received_us, slice(taken, before)))
+                taken = before
+            self._take_other(frames, i)
+        if taken < len(imu_at):
+            self._take_imu(*_part(rows, compid, received_us, slice(taken, None)))
+
+    def _is_idle(self, frames: Frames, i: int) -> bool:
+        """True for a packet that will change nothing, told at a glance: most ATTITUDEs and GLOBAL_POSITION_INTs."""
+        msgid, sources = int(frames.msgid[i]), self.sources
+        if sources is None:
+            return False
+        if msgid == _ATTITUDE_ID:
+            return sources.heading != "attitude" or self._too_soon(_boot_us(frames, i))
+        if msgid == _GLOBAL_POSITION_ID:
+            return sources.gnss != "global_position_int" and not sources.vertical_velocity
+        return False
+
+    def _too_soon(self, stamp_us: int) -> bool:
+        """True for a heading that follows the last one sooner than the sources allow."""
+        rate = self.sources.heading_rate if self.sources is not None else None
+        if rate is None or self._heading_stamp is None:
+            return False
+        # a twentieth of slack: stamps on a grid must not fall just short of it
+        return abs(stamp_us - self._heading_stamp) < 0.95e6 / rate
 
     # ---- IMU ---------------------------------------------------------------------------------------------------
 
-    def _take_imu(self, frames: Frames, run: IntArray) -> None:
-        """Take a run of IMU packets of whatever kind."""
-        skipped = 0
-        while self.imu is None and skipped < len(run):
-            self._choose_imu(frames, int(run[skipped]))
-            skipped += self.imu is None
-        self.dropped["IMU not chosen yet"] += skipped
+    def _take_imu(self, rows: ImuRows, compid: IntArray, received_us: IntArray) -> None:
+        """Take a run of IMU messages of whatever kind: samples, component ids (N,) and reception stamps (N,)."""
         if self.imu is None:
-            return
-        run = run[skipped:]
+            skipped = 0
+            while self.imu is None and skipped < len(rows):
+                self._choose_imu(rows, skipped, int(compid[skipped]), int(received_us[skipped]))
+                skipped += self.imu is None
+            self.dropped["IMU not chosen yet"] += skipped
+            if self.imu is None:
+                return
+            rows, compid, received_us = _part(rows, compid, received_us, slice(skipped, None))
         msgid, imu_id = self.imu
-        run = run[(frames.msgid[run] == msgid) & (frames.compid[run] == self.compid)]
-        rows = decode_imu(frames, run)
-        self.counts[IMU_KINDS[msgid]] += len(rows)
-        usable = rows.valid & (rows.imu_id == imu_id)
+        chosen = (rows.msgid == msgid) & (compid == self.compid)
+        usable = chosen & rows.valid & (rows.imu_id == imu_id)
         if not usable.all():
-            invalid = int((~rows.valid).sum())
+            invalid = int((chosen & ~rows.valid).sum())
             self.dropped["IMU invalid"] += invalid
-            self.dropped["IMU of another id"] += len(rows) - invalid - int(usable.sum())
-        received = frames.t_us[run][usable]
-        if not len(received):
+            self.dropped["IMU of another id"] += int(chosen.sum()) - invalid - int(usable.sum())
+            rows, compid, received_us = _part(rows, compid, received_us, usable)
+        if not len(rows):
             return
-        self._place(rows.stamp_us[usable], rows.accel_b[usable], rows.gyro_b[usable], received)
+        self._place(rows.stamp_us, rows.accel_b, rows.gyro_b, received_us)
         assert self._first_imu_us is not None
-        if self.sources is None and int(received[-1]) - self._first_imu_us > HEARTBEAT_WAIT_US:
+        if self.sources is None and int(received_us[-1]) - self._first_imu_us > HEARTBEAT_WAIT_US:
             self._resolve(_MAV_AUTOPILOT_INVALID)
 
-    def _choose_imu(self, frames: Frames, i: int) -> None:
+    def _choose_imu(self, rows: ImuRows, i: int, compid: int, received_us: int) -> None:
         """Choose message and sensor once: the best kind at once, else the best that came within a second."""
-        msgid, received = int(frames.msgid[i]), int(frames.t_us[i])
         if self._first_imu_us is None or self.compid is None:
-            self._first_imu_us = received
-            self.compid = int(frames.compid[i])
-        rows = decode_imu(frames, np.array([i], dtype=np.int64))
-        if int(frames.compid[i]) == self.compid and rows.valid[0]:
-            self._imu_seen.setdefault(msgid, int(rows.imu_id[0]))
-        waited = received - self._first_imu_us > CHOICE_US
+            self._first_imu_us = received_us
+            self.compid = compid
+        if compid == self.compid and rows.valid[i]:
+            self._imu_seen.setdefault(int(rows.msgid[i]), int(rows.imu_id[i]))
+        waited = received_us - self._first_imu_us > CHOICE_US
         if self._imu_seen and (PREFERENCE[0] in self._imu_seen or waited):
             best = min(self._imu_seen, key=PREFERENCE.index)
             self.imu = (best, self._imu_seen[best])
@@ -179,7 +233,9 @@ class Intake:
                 continue
             part = slice(start, None if event is None else event.row)
             keep = times.keep[part]
-            table = ImuTable(times.t_us[part][keep], accel_b[part][keep], gyro_b[part][keep])
+            table = ImuTable(times.t_us[part], accel_b[part], gyro_b[part])
+            if not keep.all():
+                table = ImuTable(table.t_us[keep], table.accel_b[keep], table.gyro_b[keep])
             if len(table):
                 self.estimator.feed_imu(table)
             if event is not None:
@@ -193,7 +249,7 @@ class Intake:
         self._quality = None
         self._vertical = None
         self._fix_stamp = None
-        self._heading_us = None
+        self._heading_stamp = None
 
     # ---- everything else ---------------------------------------------------------------------------------------
 
@@ -208,7 +264,6 @@ class Intake:
         from_vehicle = self.compid is not None and int(frames.compid[i]) == self.compid
         if handler is None or not (from_vehicle or message.kind in _FROM_ANY_COMPONENT):
             return
-        self.counts[message.kind] += 1
         handler(message, int(frames.t_us[i]))
 
     def _resolve(self, autopilot: int) -> None:
@@ -254,8 +309,15 @@ class Intake:
                 fresh = abs(received_us - vertical[0]) <= VERTICAL_US
                 v_l = (v_l[0], v_l[1], vertical[1] if fresh else math.nan)
         self._use_fix(
-            message, message.alt, v_l, message.fix_type, message.satellites, message.h_acc,
-            message.v_acc, message.vel_acc, received_us,
+            message,
+            message.alt,
+            v_l,
+            message.fix_type,
+            message.satellites,
+            message.h_acc,
+            message.v_acc,
+            message.vel_acc,
+            received_us,
         )
 
     def _global_position(self, message: GlobalPosition, received_us: int) -> None:
@@ -269,24 +331,45 @@ class Intake:
             return
         v_l = message.v_l if sources.vertical_velocity else (*message.v_l[:2], math.nan)
         self._use_fix(
-            message, message.alt, v_l, quality.fix_type, quality.satellites, quality.h_acc,
-            quality.v_acc, quality.vel_acc, received_us,
+            message,
+            message.alt,
+            v_l,
+            quality.fix_type,
+            quality.satellites,
+            quality.h_acc,
+            quality.v_acc,
+            quality.vel_acc,
+            received_us,
         )
 
     def _gps_input(self, message: GpsInput, received_us: int) -> None:
         if self.sources is None or self.sources.gnss != "gps_input" or message.alt is None:
             return
         self._use_fix(
-            message, message.alt, message.v_l, message.fix_type, message.satellites, message.h_acc,
-            message.v_acc, message.vel_acc, received_us,
+            message,
+            message.alt,
+            message.v_l,
+            message.fix_type,
+            message.satellites,
+            message.h_acc,
+            message.v_acc,
+            message.vel_acc,
+            received_us,
         )
 
     def _hil_gps(self, message: HilGps, received_us: int) -> None:
         if self.sources is None or self.sources.gnss != "hil_gps":
             return
         self._use_fix(
-            message, message.alt, message.v_l, message.fix_type, message.satellites, None, None,
-            None, received_us,
+            message,
+            message.alt,
+            message.v_l,
+            message.fix_type,
+            message.satellites,
+            None,
+            None,
+            None,
+            received_us,
         )
 
     def _attitude(self, message: Attitude, received_us: int) -> None:
@@ -333,16 +416,21 @@ class Intake:
         self.estimator.feed_gnss(fix)
 
     def _use_heading(
-        self, message: GpsRaw | Attitude, yaw: float, sigma: float | None, source: str, received_us: int
+        self,
+        message: GpsRaw | Attitude,
+        yaw: float,
+        sigma: float | None,
+        source: str,
+        received_us: int,
     ) -> None:
         """Hand a heading over, no oftener than the sources allow."""
         assert self.sources is not None
+        if self._too_soon(message.stamp_us):
+            return
         t_us = self._time_of(message, received_us)
         if t_us is None:
             return
-        rate = self.sources.heading_rate
-        # a twentieth of slack: stamps on a grid must not fall just short of it
-        if rate is not None and self._heading_us is not None and 0 <= t_us - self._heading_us < 0.95e6 / rate:
-            return
-        self._heading_us = t_us
-        self.estimator.feed_heading(HeadingFix(t_us, yaw, sigma, source, self.sources.heading_delay))
+        self._heading_stamp = message.stamp_us
+        self.estimator.feed_heading(
+            HeadingFix(t_us, yaw, sigma, source, self.sources.heading_delay)
+        )

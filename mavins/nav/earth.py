@@ -100,7 +100,9 @@ def normal_gravity(sin_lat: float, alt: float) -> float:
     s2 = sin_lat * sin_lat
     g0 = GRAVITY_EQUATOR * (1.0 + SOMIGLIANA_K * s2) / math.sqrt(1.0 - E2 * s2)
     h = alt / SEMI_MAJOR
-    return g0 * (1.0 - 2.0 * (1.0 + FLATTENING + GRAVITY_M - 2.0 * FLATTENING * s2) * h + 3.0 * h * h)
+    return g0 * (
+        1.0 - 2.0 * (1.0 + FLATTENING + GRAVITY_M - 2.0 * FLATTENING * s2) * h + 3.0 * h * h
+    )
 
 
 @kernel

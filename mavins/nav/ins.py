@@ -39,8 +39,8 @@ def increments_from_rates(
 ) -> tuple[Vector, Vector]:
     """(phi, dv) over an interval between two point samples, rate and specific force linear in between.
 
-    phi = W + w0 x w1 dt^2/12 (coning) and dv = F + W x F / 2 + (w0 x f1 + f0 x w1) dt^2/12 (rotation, sculling)
-    with W = (w0 + w1) dt/2 and F = (f0 + f1) dt/2. rad/s and m/s^2 in, rad and m/s out; for smooth signals the
+    phi = W + w0 x w1 dt^2/12 (coning) and dv = F + W x F / 2 + W x (W x F) / 6 + (w0 x f1 + f0 x w1) dt^2/12
+    (rotation to third order, sculling) with W = (w0 + w1) dt/2 and F = (f0 + f1) dt/2. rad/s and m/s^2 in, rad and m/s out; for smooth signals the
     error falls as dt^2.
     """
     h = 0.5 * dt
@@ -49,13 +49,14 @@ def increments_from_rates(
     F = ((f0[0] + f1[0]) * h, (f0[1] + f1[1]) * h, (f0[2] + f1[2]) * h)
     coning = _cross(w0, w1)
     rotation = _cross(W, F)
+    twice = _cross(W, rotation)
     s1 = _cross(w0, f1)
     s2 = _cross(f0, w1)
     phi = (W[0] + k * coning[0], W[1] + k * coning[1], W[2] + k * coning[2])
     dv = (
-        F[0] + 0.5 * rotation[0] + k * (s1[0] + s2[0]),
-        F[1] + 0.5 * rotation[1] + k * (s1[1] + s2[1]),
-        F[2] + 0.5 * rotation[2] + k * (s1[2] + s2[2]),
+        F[0] + 0.5 * rotation[0] + twice[0] / 6.0 + k * (s1[0] + s2[0]),
+        F[1] + 0.5 * rotation[1] + twice[1] / 6.0 + k * (s1[1] + s2[1]),
+        F[2] + 0.5 * rotation[2] + twice[2] / 6.0 + k * (s1[2] + s2[2]),
     )
     return phi, dv
 
@@ -67,17 +68,18 @@ def increments_from_integrals(
     """(phi, dv) over an interval from its integrals `a1` of the rate and `s1` of the specific force.
 
     `a0`, `s0` are the integrals over the interval before, of the same length: phi = a1 + a0 x a1 / 12,
-    dv = s1 + a1 x s1 / 2 + (a0 x s1 + s0 x a1) / 12 (Savage 1998, one sample with the one before it).
+    dv = s1 + a1 x s1 / 2 + a1 x (a1 x s1) / 6 + (a0 x s1 + s0 x a1) / 12 (Savage 1998, one sample with the one before it).
     """
     coning = _cross(a0, a1)
     rotation = _cross(a1, s1)
+    twice = _cross(a1, rotation)
     c1 = _cross(a0, s1)
     c2 = _cross(s0, a1)
     phi = (a1[0] + coning[0] / 12.0, a1[1] + coning[1] / 12.0, a1[2] + coning[2] / 12.0)
     dv = (
-        s1[0] + 0.5 * rotation[0] + (c1[0] + c2[0]) / 12.0,
-        s1[1] + 0.5 * rotation[1] + (c1[1] + c2[1]) / 12.0,
-        s1[2] + 0.5 * rotation[2] + (c1[2] + c2[2]) / 12.0,
+        s1[0] + 0.5 * rotation[0] + twice[0] / 6.0 + (c1[0] + c2[0]) / 12.0,
+        s1[1] + 0.5 * rotation[1] + twice[1] / 6.0 + (c1[1] + c2[1]) / 12.0,
+        s1[2] + 0.5 * rotation[2] + twice[2] / 6.0 + (c1[2] + c2[2]) / 12.0,
     )
     return phi, dv
 
