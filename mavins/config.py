@@ -17,6 +17,7 @@ from typing import Annotated, Any, Literal
 from mavins import __version__, typed_settings, yaml_text
 from mavins.documented import Doc
 from mavins.estimator.settings import Settings
+from mavins.mavlink.settings import SessionSettings, StreamSettings
 from mavins.mavlink.sources import SourceSettings
 
 FilterName = Literal["eskf"]
@@ -31,6 +32,8 @@ class Config(Settings):
 
     filter: Annotated[FilterName, Doc("The filter.")] = "eskf"
     sources: SourceSettings = SourceSettings()
+    streams: StreamSettings = StreamSettings()
+    mavlink: SessionSettings = SessionSettings()
 
 
 def load(path: Path | str | None = None, overrides: Mapping[str, Any] | None = None) -> Config:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,10 +19,12 @@ from mavins.estimator.solution import EULER, LLA, V_L
 from mavins.evaluation.errors import errors_against
 from mavins.logs.tlog import read_tlog
 from mavins.logs.truth import truth_of
-from mavins.mavlink.codec import IMU_KINDS, Frames
+from mavins.mavlink.codec import IMU_KINDS, Frames, OriginRequest, decode, fields_of
 from mavins.mavlink.intake import RELEVANT, Intake
 from mavins.results import ResultWriter, write_json, write_text
+from mavins.types import Origin
 
+SET_GPS_GLOBAL_ORIGIN = fields_of("SET_GPS_GLOBAL_ORIGIN").msgid
 CHUNK = 20_000
 """Packets between two reports of progress."""
 
@@ -67,7 +70,6 @@ def replay(
     wall, cpu = time.perf_counter(), time.process_time()
     frames = read_tlog(log)
     sysid = vehicle_of(frames) if options.sysid is None else options.sysid
-    mine = frames.select((frames.sysid == sysid) & np.isin(frames.msgid, RELEVANT))
     bounds = (
         round((options.start or 0.0) * 1e6),
         2**62 if options.end is None else round(options.end * 1e6),
@@ -78,9 +80,7 @@ def replay(
         outputs = Outputs(grid_us(options.rate), writer.write_rows, writer.write_decision)
         estimator = Estimator(config, config.filter, outputs)
         intake = Intake(estimator, config.sources)
-        for start in range(0, len(mine), CHUNK):
-            intake.take(mine.select(np.arange(start, min(start + CHUNK, len(mine)))))
-            progress(min(start + CHUNK, len(mine)) / max(1, len(mine)))
+        _feed(intake, frames, sysid, progress)
         estimator.finish()
     if intake.imu is None:
         raise LogFormatError(f"the log has no usable IMU messages of vehicle {sysid}")
@@ -116,6 +116,26 @@ def replay(
     summary["times_real_time"] = covered / summary["cpu_s"]
     write_json(out / "summary.json", summary)
     return summary
+
+
+def _feed(intake: Intake, frames: Frames, sysid: int, progress: Callable[[float], None]) -> None:
+    """All of a vehicle's packets, and between them the origins that others asked for."""
+    relevant = (frames.sysid == sysid) & np.isin(frames.msgid, RELEVANT)
+    origins = (frames.msgid == SET_GPS_GLOBAL_ORIGIN) & (frames.sysid != sysid)
+    chosen = frames.select(relevant | origins)
+    at_origin = np.flatnonzero(chosen.msgid == SET_GPS_GLOBAL_ORIGIN)
+    edges = np.unique(np.concatenate([np.arange(0, len(chosen), CHUNK), at_origin, at_origin + 1]))
+    for start, end in itertools.pairwise([*edges.tolist(), len(chosen)]):
+        if start == end:
+            continue
+        part = chosen.select(np.arange(start, end))
+        if part.msgid[0] == SET_GPS_GLOBAL_ORIGIN:
+            request = decode(part, 0)
+            if isinstance(request, OriginRequest) and request.target_system != sysid:
+                intake.estimator.set_origin(Origin(request.lat, request.lon, request.alt))
+        else:
+            intake.take(part)
+        progress(end / len(chosen))
 
 
 def summarize(estimator: Estimator, intake: Intake) -> dict[str, Any]:

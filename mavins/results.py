@@ -79,6 +79,11 @@ class ResultWriter:
         times, rows = zip(*self._kept, strict=True)
         return np.concatenate(times), np.concatenate(rows)
 
+    def flush(self) -> None:
+        """Hand what is buffered to the operating system."""
+        for file in (self._estimates, self._innovations):
+            file.flush()
+
     def close(self) -> None:
         """Write what is buffered and close the files."""
         for file in (self._estimates, self._innovations):

@@ -45,6 +45,7 @@ class AidingStatistics:
         sigma it was expected to have and the sigma assumed for the measurement alone, in SI units."""
         result: dict[str, Any] = {"accepted": self.accepted, "rejected": dict(self.rejected)}
         if self.accepted:
+            result["nis_per_row"] = self.nis_sum / self.rows
             used = [i for i, v in enumerate(self.variance_sum) if v > 0.0]
             for name, sums in (
                 ("innovation_rms", self.square_sum),

@@ -23,7 +23,9 @@ class SourceSettings:
 
     gnss: Annotated[
         Literal["auto"] | GnssSource,
-        Doc("Position and velocity; auto: gps_raw_int from PX4 and ArduPilot, else global_position_int."),
+        Doc(
+            "Position and velocity; auto: gps_raw_int from PX4 and ArduPilot, else global_position_int."
+        ),
     ] = "auto"
     vertical_velocity: Annotated[
         Literal["auto"] | VerticalSource,
@@ -32,9 +34,9 @@ class SourceSettings:
             "GLOBAL_POSITION_INT is the output of its own filter."
         ),
     ] = "auto"
-    heading: Annotated[
-        Literal["auto"] | HeadingSource, Doc("Heading; auto: ATTITUDE.yaw.")
-    ] = "auto"
+    heading: Annotated[Literal["auto"] | HeadingSource, Doc("Heading; auto: ATTITUDE.yaw.")] = (
+        "auto"
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,239 @@
+"""The MAVLink session, sans I/O: bytes, addresses and time go in, datagrams come out.
+
+A datagram is scanned alone, so that a damaged one cannot spoil the next. Only IMU messages make a vehicle; a
+vehicle belongs to the first address that speaks for it. Whoever sends a valid packet is a peer and gets every stream
+until it has been silent for a while. Time is the reception stamp (integer microseconds since 1970, taken once per
+datagram), so that a recording of the packets and their stamps gives the same estimates again.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Hashable, Iterable
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from mavins.estimator.estimator import Estimator
+from mavins.mavlink.codec import IMU_KINDS, Damage, Frames, OriginRequest, Payload, frame, scan
+from mavins.mavlink.codec import decode as decode_frame
+from mavins.mavlink.intake import RELEVANT, Intake
+from mavins.mavlink.requests import COMMANDS, SET_GPS_GLOBAL_ORIGIN, answer, decode_packet
+from mavins.mavlink.settings import SessionSettings, StreamSettings
+from mavins.mavlink.sources import SourceSettings
+from mavins.mavlink.vehicle import Holder, Vehicle
+from mavins.types import Origin
+
+COMPID = 1
+_IMU_IDS = np.array(sorted(IMU_KINDS), dtype=np.int64)
+
+
+class Recorder(Protocol):
+    """Where every packet in and out goes, with its stamp (us since 1970)."""
+
+    def write(self, t_us: int, packet: bytes) -> None:
+        """Append one packet."""
+
+
+@dataclass(slots=True)
+class Peer:
+    """An address that receives our streams. `seen_us` None: one that was named by the user and never expires."""
+
+    seen_us: int | None
+    sequence: dict[int, int] = field(default_factory=dict)
+
+    def next_sequence(self, sysid: int) -> int:
+        """The number of the next packet of one of our sysids to this peer."""
+        number = self.sequence.get(sysid, 0)
+        self.sequence[sysid] = (number + 1) % 256
+        return number
+
+
+class Session:
+    """All peers and vehicles of a service."""
+
+    def __init__(
+        self,
+        settings: SessionSettings,
+        streams: StreamSettings,
+        sources: SourceSettings,
+        make_estimator: Callable[[int], Estimator],
+        is_local: Callable[[Hashable], bool] = lambda address: True,
+        recorder: Recorder | None = None,
+    ) -> None:
+        self.vehicles: dict[int, Vehicle] = {}
+        self.peers: dict[Hashable, Peer] = {}
+        self.dropped: Counter[str] = Counter()
+        self.packets_in = 0
+        self.packets_out = 0
+        self._settings = settings
+        self._streams = streams
+        self._sources = sources
+        self._make_estimator = make_estimator
+        self._is_local = is_local
+        self._recorder = recorder
+        self._recorded = Peer(None)
+        self._out: list[tuple[bytes, Hashable]] = []
+        self._seen_sysids: set[int] = set()
+        self._wanted_origin: Origin | None = None
+
+    def add_peer(self, address: Hashable) -> None:
+        """A peer that receives without having sent."""
+        self.peers[address] = Peer(None)
+
+    def receive(self, data: bytes, address: Hashable, now_us: int) -> Frames:
+        """Take one datagram; returns its packets that were let in (evaluation looks for truth among them)."""
+        frames = scan(data, now_us)
+        self._count_damage(frames.damage)
+        if not len(frames):
+            return frames
+        self.packets_in += len(frames)
+        frames = self._let_in(frames, address, now_us)
+        if self._recorder is not None:
+            for i in range(len(frames)):
+                self._recorder.write(now_us, frames.packet(i))
+        for sysid in np.unique(frames.sysid).tolist():
+            vehicle = self.vehicles.get(sysid)
+            if vehicle is not None:
+                mine = frames.select((frames.sysid == sysid) & np.isin(frames.msgid, RELEVANT))
+                if len(mine):
+                    self._say(vehicle, vehicle.take(mine), now_us)
+        for i in np.flatnonzero(np.isin(frames.msgid, (*COMMANDS, SET_GPS_GLOBAL_ORIGIN))).tolist():
+            self._request(frames, i, address, now_us)
+        return frames
+
+    def tick(self, now_us: int) -> None:
+        """What is due by our own clock; call it some ten times a second."""
+        for vehicle in self.vehicles.values():
+            self._say(vehicle, vehicle.tick(now_us), now_us)
+        limit_us = self._settings.peer_timeout * 1e6
+        for address, peer in list(self.peers.items()):
+            if peer.seen_us is not None and now_us - peer.seen_us > limit_us:
+                del self.peers[address]
+
+    def datagrams(self) -> list[tuple[bytes, Hashable]]:
+        """What is to be sent now: (bytes, address), in order."""
+        out, self._out = self._out, []
+        return out
+
+    # ---- who may come in ---------------------------------------------------------------------------------------
+
+    def _let_in(self, frames: Frames, address: Hashable, now_us: int) -> Frames:
+        """The packets that count: not our own that came back, and of a vehicle only those of its own address."""
+        ours = {vehicle.our_sysid for vehicle in self.vehicles.values()}
+        keep = np.ones(len(frames), dtype=bool)
+        if not self._is_local(address):
+            # turned away here and not later, so that a recording holds only requests that were carried out
+            foreign = frames.msgid == SET_GPS_GLOBAL_ORIGIN
+            keep &= ~foreign
+            self.dropped["SET_GPS_GLOBAL_ORIGIN from another host"] += int(foreign.sum())
+        for sysid in np.unique(frames.sysid).tolist():
+            of_sysid = frames.sysid == sysid
+            if sysid in ours:
+                echo = of_sysid & (frames.compid == COMPID)
+                keep &= ~echo
+                self.dropped["our own packets"] += int(echo.sum())
+                continue
+            vehicle = self.vehicles.get(sysid)
+            if vehicle is not None and vehicle.holder.address != address:
+                silent_us = now_us - vehicle.holder.seen_us
+                if silent_us <= self._settings.vehicle_timeout * 1e6:
+                    keep &= ~of_sysid
+                    self.dropped[f"sysid {sysid} from another address"] += int(of_sysid.sum())
+                    continue
+            self._seen_sysids.add(sysid)
+            if vehicle is None and np.isin(frames.msgid[of_sysid], _IMU_IDS).any():
+                vehicle = self._new_vehicle(sysid, address, now_us)
+            if vehicle is not None:
+                vehicle.holder = Holder(address, now_us)
+        if not keep.all():
+            frames = frames.select(keep)
+        if len(frames):
+            self._see_peer(address, now_us)
+        return frames
+
+    def _see_peer(self, address: Hashable, now_us: int) -> None:
+        peer = self.peers.get(address)
+        if peer is not None:
+            if peer.seen_us is not None:
+                peer.seen_us = now_us
+        elif len(self.peers) < self._settings.max_peers:
+            self.peers[address] = Peer(now_us)
+        else:
+            self.dropped["more peers than max_peers"] += 1
+
+    def _new_vehicle(self, sysid: int, address: Hashable, now_us: int) -> Vehicle | None:
+        if len(self.vehicles) >= self._settings.max_vehicles:
+            self.dropped["more vehicles than max_vehicles"] += 1
+            return None
+        estimator = self._make_estimator(sysid)
+        vehicle = Vehicle(
+            sysid,
+            self._our_sysid(sysid),
+            estimator,
+            Intake(estimator, self._sources),
+            Holder(address, now_us),
+            self._streams,
+        )
+        self.vehicles[sysid] = vehicle
+        return vehicle
+
+    def _our_sysid(self, sysid: int) -> int:
+        taken = self._seen_sysids | {vehicle.our_sysid for vehicle in self.vehicles.values()}
+        if self._settings.sysid != "auto" and not self.vehicles:
+            return self._settings.sysid
+        wanted = 1 + (sysid + 98) % 250
+        while wanted in taken:
+            wanted = 1 + wanted % 250
+        return wanted
+
+    def _count_damage(self, damage: Damage) -> None:
+        if damage:
+            for name in ("bad_crc", "unknown", "truncated", "skipped_bytes"):
+                count = getattr(damage, name)
+                if count:
+                    self.dropped[name.replace("_", " ")] += count
+
+    # ---- what goes out -----------------------------------------------------------------------------------------
+
+    def _say(self, vehicle: Vehicle, payloads: Iterable[Payload], now_us: int) -> None:
+        """Send payloads about a vehicle to every peer."""
+        for payload in payloads:
+            for address in self.peers:
+                self._send(vehicle, payload, address)
+            if self._recorder is not None:
+                number = self._recorded.next_sequence(vehicle.our_sysid)
+                self._recorder.write(now_us, frame(payload, vehicle.our_sysid, COMPID, number))
+
+    def _send(self, vehicle: Vehicle, payload: Payload, address: Hashable) -> None:
+        peer = self.peers.get(address)
+        if peer is None:
+            return
+        number = peer.next_sequence(vehicle.our_sysid)
+        self._out.append((frame(payload, vehicle.our_sysid, COMPID, number), address))
+        self.packets_out += 1
+
+    def _request(self, frames: Frames, i: int, address: Hashable, now_us: int) -> None:
+        """Answer a command, or take an origin, if it is meant for one of ours."""
+        msgid = int(frames.msgid[i])
+        sender = (int(frames.sysid[i]), int(frames.compid[i]))
+        if msgid == SET_GPS_GLOBAL_ORIGIN:
+            self._origin(frames, i, now_us)
+            return
+        message = decode_packet(frames, i)
+        if message is None or message.target_component not in (0, COMPID):
+            return
+        for vehicle in self.vehicles.values():
+            if message.target_system in (0, vehicle.our_sysid):
+                for payload in answer(message, sender, vehicle):
+                    self._send(vehicle, payload, address)
+
+    def _origin(self, frames: Frames, i: int, now_us: int) -> None:
+        request = decode_frame(frames, i)
+        if not isinstance(request, OriginRequest):
+            return
+        for vehicle in self.vehicles.values():
+            if request.target_system in (0, vehicle.our_sysid):
+                origin = Origin(request.lat, request.lon, request.alt)
+                self._say(vehicle, vehicle.set_origin(origin), now_us)

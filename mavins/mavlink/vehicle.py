@@ -1,0 +1,134 @@
+"""One vehicle as the session sees it: who may speak for it, its intake and estimator, and what we say about it."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from dataclasses import dataclass, field
+from typing import Final
+
+from mavins.estimator.estimator import Estimator
+from mavins.mavlink.codec import (
+    Frames,
+    Payload,
+    gps_global_origin,
+    gps_raw_int,
+    heartbeat,
+    statustext,
+)
+from mavins.mavlink.intake import Intake
+from mavins.mavlink.settings import StreamSettings
+from mavins.mavlink.streams import Home, Streams, sys_status_of
+from mavins.types import GnssFix, Health, Origin
+
+HEARTBEAT_US: Final = 1_000_000
+MAV_TYPE_GENERIC: Final = 0
+MAV_AUTOPILOT_GENERIC: Final = 0
+_STATE: Final = {
+    Health.WAITING: 1,
+    Health.ALIGNING: 2,
+    Health.RUNNING: 4,
+    Health.DEAD_RECKONING: 5,
+    Health.DIVERGED: 5,
+}
+"""Health -> MAV_STATE: boot, calibrating, active, critical."""
+_SEVERITY: Final = {
+    Health.WAITING: 6,
+    Health.ALIGNING: 6,
+    Health.RUNNING: 6,
+    Health.DEAD_RECKONING: 4,
+    Health.DIVERGED: 3,
+}
+"""Health -> MAV_SEVERITY: info, warning, error."""
+
+
+@dataclass(slots=True)
+class Holder:
+    """The address that speaks for a vehicle, and when it last did (reception, us)."""
+
+    address: Hashable
+    seen_us: int
+
+
+@dataclass(slots=True)
+class Vehicle:
+    """One vehicle. `sysid` is its own, `our_sysid` the one we speak under."""
+
+    sysid: int
+    our_sysid: int
+    estimator: Estimator
+    intake: Intake
+    holder: Holder
+    stream_settings: StreamSettings
+    home: Home | None = None
+    streams: Streams = field(init=False)
+    _said: tuple[Health, int] = (Health.WAITING, 0)
+    _fix: GnssFix | None = None
+    _heartbeat_us: int | None = None
+    _sys_status_us: int | None = None
+    _text_id: int = 0
+
+    def __post_init__(self) -> None:
+        self.streams = Streams(self.stream_settings)
+
+    def take(self, frames: Frames) -> list[Payload]:
+        """Feed packets of the vehicle; returns what is due to be said because of them."""
+        self.intake.take(frames)
+        return [*self._news(), *self._fix_news(), *self.streams.due(self.estimator, self.home)]
+
+    def tick(self, now_us: int) -> list[Payload]:
+        """What is due by our own clock: HEARTBEAT and SYS_STATUS."""
+        due: list[Payload] = []
+        if self._heartbeat_us is None or now_us - self._heartbeat_us >= HEARTBEAT_US:
+            self._heartbeat_us = now_us
+            state = _STATE[self.estimator.health]
+            due.append(
+                heartbeat(MAV_TYPE_GENERIC, MAV_AUTOPILOT_GENERIC, base_mode=0, system_status=state)
+            )
+        period = self.streams.sys_status_s
+        if period is not None and (
+            self._sys_status_us is None or now_us - self._sys_status_us >= period * 1e6
+        ):
+            self._sys_status_us = now_us
+            due.append(sys_status_of(self.estimator, self.intake.last_fix is not None))
+        return due
+
+    def set_origin(self, origin: Origin) -> list[Payload]:
+        """Put the origin of n there; returns the announcement."""
+        self.estimator.set_origin(origin)
+        self.home = None
+        return [gps_global_origin(origin, self.estimator.t_us or 0), *self._news()]
+
+    def _news(self) -> list[Payload]:
+        """A text for each change of health and each reset, and home once there is an estimate."""
+        estimator = self.estimator
+        if self.home is None and estimator.running:
+            solution = estimator.solution()
+            if solution is not None:
+                place = Origin(solution.lat, solution.lon, solution.alt)
+                self.home = Home(place, solution.p_n.copy())
+        before_health, before_resets = self._said
+        health, resets = estimator.health, estimator.reset_counter
+        if (health, resets) == self._said:
+            return []
+        self._said = (health, resets)
+        texts: list[Payload] = []
+        if health != before_health:
+            reason = f": {estimator.reason}" if estimator.reason else ""
+            texts += self._text(
+                f"mavins {health.name.lower().replace('_', ' ')}{reason}", _SEVERITY[health]
+            )
+        if resets != before_resets:
+            texts += self._text(f"mavins estimate reset ({resets})", 4)
+        return texts
+
+    def _text(self, text: str, severity: int) -> list[Payload]:
+        self._text_id += 1
+        return statustext(text, severity, self._text_id)
+
+    def _fix_news(self) -> list[Payload]:
+        """Each fix once, as GPS_RAW_INT."""
+        fix = self.intake.last_fix
+        if fix is None or fix is self._fix:
+            return []
+        self._fix = fix
+        return [gps_raw_int(fix)] if self.estimator.running else []

@@ -1,0 +1,210 @@
+"""The service: sockets in front of a session, result files and a status behind it."""
+
+from __future__ import annotations
+
+import select
+import time
+from collections import Counter
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from mavins import __version__
+from mavins.config import Config, to_yaml
+from mavins.estimator.estimator import Estimator, Outputs
+from mavins.evaluation.live import HIL_STATE, LiveTruth
+from mavins.logs.tlog import TlogWriter
+from mavins.mavlink.session import Session
+from mavins.mavlink.vehicle import Vehicle
+from mavins.replay import grid_us, summarize
+from mavins.results import ResultWriter, write_json, write_text
+from mavins.snapshot import aiding_status, estimate_status
+from mavins.status import StatusSnapshot, VehicleStatus
+from mavins.transports.base import Transport
+from mavins.transports.udp import UdpTransport
+
+TICK_S: Final = 0.05
+STATUS_S: Final = 1.0
+ROWS_PER_SECOND: Final = 50.0
+
+Address = tuple[int, str, int]
+"""Which of our links, and the host and port at its other end."""
+
+
+def is_local(address: Hashable) -> bool:
+    """True for an address on this host."""
+    return isinstance(address, tuple) and str(address[1]).startswith("127.")
+
+
+@dataclass(slots=True)
+class Watch:
+    """What the service keeps about a vehicle beside its estimator."""
+
+    truth: LiveTruth
+    writer: ResultWriter | None
+    folder: Path | None
+    counts_before: Counter[str]
+
+
+class Service:
+    """Moves datagrams between links and a session until told to stop."""
+
+    def __init__(
+        self,
+        config: Config,
+        links: Sequence[UdpTransport],
+        gcs: Sequence[tuple[str, int]] = (),
+        out: Path | None = None,
+        record: Path | None = None,
+        status: Callable[[StatusSnapshot], None] | None = None,
+    ) -> None:
+        self._config = config
+        self._links: Sequence[Transport] = links
+        self._out = out
+        self._status = status
+        self._watches: dict[int, Watch] = {}
+        self._recorder = TlogWriter(record) if record is not None else None
+        self._unix_offset_us = time.time_ns() // 1000 - time.monotonic_ns() // 1000
+        self._started = time.monotonic()
+        self._cpu_started = time.process_time()
+        self.session = Session(
+            config.mavlink,
+            config.streams,
+            config.sources,
+            self._make_estimator,
+            is_local,
+            self._recorder,
+        )
+        for host, port in gcs:
+            self.session.add_peer((0, host, port))
+
+    def run(self, stopped: Callable[[], bool]) -> None:
+        """Serve until `stopped()`; then close every file whole."""
+        poller = select.poll()
+        by_fd = {}
+        for index, link in enumerate(self._links):
+            assert isinstance(link, UdpTransport)
+            poller.register(link.fileno(), select.POLLIN)
+            by_fd[link.fileno()] = index
+        next_tick = next_status = time.monotonic()
+        try:
+            while not stopped():
+                for fd, _ in poller.poll(max(0.0, next_tick - time.monotonic()) * 1e3):
+                    self._drain(by_fd[fd])
+                now = time.monotonic()
+                if now >= next_tick:
+                    next_tick = now + TICK_S
+                    self.session.tick(self._now_us())
+                    self._send()
+                if now >= next_status:
+                    next_status = now + STATUS_S
+                    self._flush()
+                    if self._status is not None:
+                        self._status(self.snapshot(now))
+        finally:
+            self.close()
+
+    def _now_us(self) -> int:
+        """Microseconds since 1970 that never step back."""
+        return self._unix_offset_us + time.monotonic_ns() // 1000
+
+    def _drain(self, index: int) -> None:
+        """Take every datagram that waits at a link, answering after each."""
+        for data, (host, port) in self._links[index].recv(0.0):
+            frames = self.session.receive(data, (index, host, port), self._now_us())
+            self._send()
+            if HIL_STATE not in frames.msgid:
+                continue
+            for sysid, vehicle in self.session.vehicles.items():
+                self._watches[sysid].truth.take(frames, sysid, vehicle.estimator.solution())
+
+    def _send(self) -> None:
+        for data, address in self.session.datagrams():
+            assert isinstance(address, tuple)
+            index, host, port = address
+            self._links[index].send(data, (host, port))
+
+    def _make_estimator(self, sysid: int) -> Estimator:
+        writer, folder = None, None
+        if self._out is not None:
+            # the first vehicle lies where a replay of the recording puts it
+            base = self._out if not self._watches else self._out / f"vehicle_{sysid}"
+            folder = base / self._config.filter
+            writer = ResultWriter(folder)
+            write_text(folder / "config.yaml", to_yaml(self._config))
+        self._watches[sysid] = Watch(LiveTruth(), writer, folder, Counter())
+        if writer is None:
+            return Estimator(self._config, self._config.filter)
+        outputs = Outputs(grid_us(ROWS_PER_SECOND), writer.write_rows, writer.write_decision)
+        return Estimator(self._config, self._config.filter, outputs)
+
+    def _flush(self) -> None:
+        """Bring what is held to the files, so that a crash loses a second at most."""
+        for sysid, watch in self._watches.items():
+            if watch.writer is not None:
+                self.session.vehicles[sysid].estimator.flush()
+                watch.writer.flush()
+        if self._recorder is not None:
+            self._recorder.flush()
+
+    def snapshot(self, now: float) -> StatusSnapshot:
+        """The service as the live status shows it."""
+        return StatusSnapshot(
+            uptime=now - self._started,
+            peers=len(self.session.peers),
+            packets_in=self.session.packets_in,
+            packets_out=self.session.packets_out,
+            dropped={k: v for k, v in self.session.dropped.items() if v},
+            vehicles=tuple(self._vehicle_status(v) for v in self.session.vehicles.values()),
+        )
+
+    def _vehicle_status(self, vehicle: Vehicle) -> VehicleStatus:
+        watch = self._watches[vehicle.sysid]
+        counts = vehicle.intake.counts
+        rates = {name: (n - watch.counts_before[name]) / STATUS_S for name, n in counts.items()}
+        watch.counts_before = Counter(counts)
+        estimator = vehicle.estimator
+        solution = estimator.solution()
+        return VehicleStatus(
+            sysid=vehicle.sysid,
+            health=estimator.health.name.lower(),
+            reason=estimator.reason,
+            t_us=estimator.t_us or 0,
+            estimate=None if solution is None else estimate_status(solution),
+            rates=rates,
+            aidings={name: aiding_status(s) for name, s in estimator.statistics.items()},
+            reset_counter=estimator.reset_counter,
+            error=watch.truth.last if solution is not None else None,
+        )
+
+    def close(self) -> None:
+        """Write what is left, close files and links."""
+        for sysid, watch in self._watches.items():
+            vehicle = self.session.vehicles[sysid]
+            vehicle.estimator.finish()
+            if watch.writer is not None and watch.folder is not None:
+                watch.writer.close()
+                write_json(watch.folder.parent / "summary.json", self._summary(vehicle, watch))
+        if self._recorder is not None:
+            self._recorder.close()
+        for link in self._links:
+            link.close()
+
+    def _summary(self, vehicle: Vehicle, watch: Watch) -> dict[str, Any]:
+        truth = watch.truth.summary()
+        return {
+            "mavins": __version__,
+            "filter": self._config.filter,
+            "sysid": vehicle.sysid,
+            **summarize(vehicle.estimator, vehicle.intake),
+            **({} if truth is None else {"truth": truth}),
+            "rows": watch.writer.rows if watch.writer is not None else 0,
+            "service": {
+                "packets_in": self.session.packets_in,
+                "packets_out": self.session.packets_out,
+                "dropped": dict(self.session.dropped),
+            },
+            "wall_s": time.monotonic() - self._started,
+            "cpu_s": time.process_time() - self._cpu_started,
+        }
