@@ -18,7 +18,7 @@ from mavins.estimator.fusion import Event
 from mavins.estimator.solution import WIDTH, describe
 from mavins.filters.base import RowBlock
 from mavins.nav.earth import TangentFrame
-from mavins.types import FloatArray
+from mavins.types import FloatArray, IntArray
 
 ESTIMATES: Final = (
     "t_us,lat_deg,lon_deg,alt_m,p_n,p_e,p_d,v_n,v_e,v_d,roll,pitch,yaw,q_w,q_x,q_y,q_z,"
@@ -40,7 +40,7 @@ class ResultWriter:
         self._estimates = _open(folder / "estimates.csv", ESTIMATES)
         self._innovations = _open(folder / "innovations.csv", INNOVATIONS)
         self._keep = keep
-        self._kept: list[tuple[FloatArray, FloatArray]] = []
+        self._kept: list[tuple[IntArray, FloatArray]] = []
         self.rows = 0
         self.bounds_us: tuple[int, int] | None = None
 
@@ -72,7 +72,7 @@ class ResultWriter:
             f"{m.t_us},{m.stamp_us},{m.aiding},{m.source},{int(event.accepted)},{event.reason},{text}\n"
         )
 
-    def table(self) -> tuple[FloatArray, FloatArray]:
+    def table(self) -> tuple[IntArray, FloatArray]:
         """All rows written so far as (t_us (N,), rows (N, 31)), where they were kept."""
         if not self._kept:
             return np.empty(0, dtype=np.int64), np.empty((0, WIDTH))
@@ -102,7 +102,7 @@ class ResultWriter:
 
 
 def _three(values: FloatArray) -> list[float]:
-    padded = values.tolist()[:3]
+    padded: list[float] = values.tolist()[:3]
     return padded + [math.nan] * (3 - len(padded))
 
 

@@ -25,7 +25,7 @@ from mavins.mavlink.codec import (
 )
 from mavins.mavlink.session import Session
 from mavins.nav.earth import TangentFrame
-from mavins.nav.kernels import CACHE, is_cached
+from mavins.nav.kernels import CACHE, is_cached, mark_cached
 from mavins.types import GnssFix, ImuSample, TruthSample
 
 _LAT, _LON, _ALT = math.radians(47.0), math.radians(8.0), 400.0
@@ -39,6 +39,7 @@ def compile_all(report: Callable[[str], None]) -> None:
         report("compiling the kernels (first start only, up to half a minute) ...")
     _fly(report if cold else lambda line: None)
     if cold:
+        mark_cached()
         kept = (
             f"kept in {CACHE}" if CACHE is not None else "not kept: no cache folder can be written"
         )

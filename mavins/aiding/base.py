@@ -18,8 +18,9 @@ Model: TypeAlias = Callable[
 class Measurement:
     """One measurement, ready to be fused at its own valid time.
 
-    `z` (m,) with noise `R` (m, m); `model` gives residual and Jacobian, with `parameters` for what the model needs beside
-    the state. `rank` orders measurements of one instant, `gate` is in sigmas; `quality` is the reason not to use it, if any.
+    `z` (m,) with noise `R` (m, m); `model` gives residual and Jacobian, with `parameters` for what it needs
+    beside the state. `rank` orders measurements of one instant, `gate` is in sigmas; `quality` is the reason
+    not to use it, if any.
     """
 
     aiding: str

@@ -18,6 +18,7 @@ from mavins.types import FloatArray, GnssFix
 
 NAME = "gnss_position"
 RANK = 0
+_NO_PARAMETERS = np.empty(0)
 
 
 @kernel
@@ -44,6 +45,18 @@ def model(
     return r, H
 
 
+@kernel
+def noise_n(C_ln: FloatArray, sigma_h: float, sigma_v: float) -> FloatArray:
+    """R (3, 3) in n of a position with these 1-sigma noises along the local horizontal and vertical."""
+    h, v = sigma_h * sigma_h, sigma_v * sigma_v
+    R = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            R[i, j] = (v - h) * C_ln[2, i] * C_ln[2, j]
+        R[i, i] += h
+    return R
+
+
 def measure(
     fix: GnssFix,
     t_us: int,
@@ -54,8 +67,6 @@ def measure(
     quality: str = "",
 ) -> Measurement:
     """The position of a fix valid at `t_us`, with 1-sigma noises in m along the local horizontal and vertical."""
-    C_nl = frame.local_level(fix.lat, fix.lon).T
-    R = C_nl @ np.diag([sigma_h**2, sigma_h**2, sigma_v**2]) @ C_nl.T
     return Measurement(
         NAME,
         RANK,
@@ -63,8 +74,8 @@ def measure(
         fix.t_us,
         t_us,
         frame.from_lla(fix.lat, fix.lon, fix.alt),
-        0.5 * (R + R.T),
-        np.empty(0),
+        noise_n(frame.local_level(fix.lat, fix.lon), sigma_h, sigma_v),
+        _NO_PARAMETERS,
         model,
         gate,
         quality,

@@ -14,7 +14,7 @@ import math
 import numpy as np
 
 from mavins.aiding.base import Measurement
-from mavins.nav.earth import TangentFrame, gravity_n
+from mavins.nav.earth import TangentFrame, dcm_ln, gravity_n, point_n
 from mavins.nav.kernels import kernel
 from mavins.nav.layout import CANONICAL_SIZE
 from mavins.nav.so3 import cross, quat_to_dcm, skew
@@ -58,6 +58,17 @@ def model(
     return r, H
 
 
+@kernel
+def surroundings(
+    lat: float, lon: float, alt: float, r0_e: FloatArray, C_ne: FloatArray
+) -> FloatArray:
+    """The model's parameters (12,) at a place: C_ln, row-major, and g_n."""
+    parameters = np.empty(12)
+    parameters[:9] = dcm_ln(lat, lon, C_ne).reshape(9)
+    parameters[9:] = gravity_n(point_n(lat, lon, alt, r0_e, C_ne), r0_e, C_ne)
+    return parameters
+
+
 def measure(
     fix: GnssFix,
     t_us: int,
@@ -70,8 +81,6 @@ def measure(
     if fix.v_l is None or math.isnan(fix.v_l[0]) or math.isnan(fix.v_l[1]):
         return None
     m = 2 if math.isnan(fix.v_l[2]) else 3
-    C_ln = frame.local_level(fix.lat, fix.lon)
-    g_n = gravity_n(frame.from_lla(fix.lat, fix.lon, fix.alt), frame.r0_e, frame.C_ne)
     return Measurement(
         NAME,
         RANK,
@@ -80,7 +89,7 @@ def measure(
         t_us,
         np.array(fix.v_l[:m]),
         np.eye(m) * sigma**2,
-        np.concatenate([C_ln.ravel(), g_n]),
+        surroundings(fix.lat, fix.lon, fix.alt, frame.r0_e, frame.C_ne),
         model,
         gate,
         quality,

@@ -10,9 +10,10 @@ from __future__ import annotations
 import numpy as np
 
 from mavins.aiding.base import Measurement
+from mavins.nav.earth import dcm_ln, ecef_of, ecef_to_lla
 from mavins.nav.kernels import kernel
 from mavins.nav.layout import CANONICAL_SIZE
-from mavins.nav.so3 import euler_jacobian, quat_mul, quat_to_euler, wrap_pi
+from mavins.nav.so3 import dcm_to_quat, euler_jacobian, quat_mul, quat_to_euler, wrap_pi
 from mavins.types import FloatArray, HeadingFix
 
 NAME = "heading"
@@ -32,6 +33,13 @@ def model(
     for j in range(3):
         H[0, 6 + j] = E[2, j]
     return r, H
+
+
+@kernel
+def turn_to_level(p_n: FloatArray, r0_e: FloatArray, C_ne: FloatArray) -> FloatArray:
+    """q_ln (4,), the model's parameters, at a point p_n (3,) of n."""
+    lla = ecef_to_lla(ecef_of(p_n, r0_e, C_ne))
+    return dcm_to_quat(dcm_ln(lla[0], lla[1], C_ne))
 
 
 def measure(

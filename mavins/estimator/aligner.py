@@ -96,7 +96,8 @@ class Aligner:
         t1, b = min(fixes, key=lambda item: abs(item[0] - end_us))
         if t1 - t0 < 0.3 * (end_us - start_us) or a.v_l is None or b.v_l is None:
             return np.zeros(3)
-        return np.nan_to_num((np.array(b.v_l) - np.array(a.v_l)) / ((t1 - t0) * 1e-6))
+        dv: FloatArray = np.nan_to_num(np.array(b.v_l) - np.array(a.v_l))
+        return dv / ((t1 - t0) * 1e-6)
 
     def start(
         self,

@@ -44,8 +44,8 @@ def level(f_b: FloatArray, push_n: FloatArray, yaw: float) -> FloatArray:
 class Start:
     """What the first state is made from.
 
-    `gyro_b`, `accel_b` (3,) are means over the window; `push_n` (3,) is a_n - g_n; position, velocity and their (3, 3) noise
-    covariances are in n. Sigmas in rad, rad/s, m/s^2; `b_g` (3,) with `sigma_b_g` is the gyro bias.
+    `accel_b` (3,) is the mean over the window; `push_n` (3,) is a_n - g_n; position, velocity and their (3, 3)
+    noise covariances are in n. Sigmas in rad, rad/s, m/s^2; `b_g` (3,) with `sigma_b_g` is the gyro bias.
     """
 
     accel_b: FloatArray

@@ -105,10 +105,12 @@ class ImuBuffer:
         """The reading (6,) at an instant between two rows, on the line that joins them."""
         i = int(self._t[: self._length].searchsorted(t_us))
         if i == 0 or int(self._t[i]) == t_us:
-            return self._imu[i].copy()
+            exact: FloatArray = self._imu[i].copy()
+            return exact
         t0, t1 = int(self._t[i - 1]), int(self._t[i])
         s = (t_us - t0) / (t1 - t0)
-        return self._imu[i - 1] + s * (self._imu[i] - self._imu[i - 1])
+        between: FloatArray = self._imu[i - 1] + s * (self._imu[i] - self._imu[i - 1])
+        return between
 
     def _grow(self, needed: int) -> None:
         capacity = max(needed, 2 * len(self._t))

@@ -61,7 +61,10 @@ class _Snapshot:
 
 @dataclass(frozen=True, slots=True)
 class Outputs:
-    """Where results go: rows of estimates on a time grid (us; 0: every IMU sample, negative: none) and final decisions."""
+    """Where results go: rows of estimates and final decisions.
+
+    `grid_us` is the time grid of the rows in us; 0: every IMU sample, negative: none.
+    """
 
     grid_us: int = -1
     rows: Callable[[RowBlock, TangentFrame], None] | None = None
@@ -96,7 +99,14 @@ class Estimator:
         self.realignments = 0
         self._resets_before = 0
         self._sequence = 0
-        self._start_over("waiting for IMU and GNSS", Health.WAITING)
+        self._state: FilterState | None = None
+        self._buffer = ImuBuffer()
+        self._events: list[Event] = []
+        self._snapshots: list[_Snapshot] = []
+        self._fusion = Fusion(self.filter, settings.gnss.reset_after)
+        self._aligner = Aligner(settings)
+        self.health = Health.WAITING
+        self.reason = "waiting for IMU and GNSS"
 
     # ---- what is known -----------------------------------------------------------------------------------------
 
@@ -185,7 +195,7 @@ class Estimator:
         self._aligner.see_heading(fix, t_us)
         if self._state is None or self.frame is None:
             return
-        q_ln = dcm_to_quat(self.frame.local_level(*self.frame.to_lla(self._state.x[:3])[:2]))
+        q_ln = heading.turn_to_level(self._state.x[:3], self.frame.r0_e, self.frame.C_ne)
         sigma = self.heading_sigma(fix)
         self._take(heading.measure(fix, t_us, q_ln, sigma, self.settings.heading.gate))
 
@@ -201,10 +211,10 @@ class Estimator:
     # ---- the time line -----------------------------------------------------------------------------------------
 
     def _start_over(self, reason: str, health: Health) -> None:
-        self._state: FilterState | None = None
+        self._state = None
         self._buffer = ImuBuffer()
-        self._events: list[Event] = []
-        self._snapshots: list[_Snapshot] = []
+        self._events = []
+        self._snapshots = []
         self._fusion = Fusion(self.filter, self.settings.gnss.reset_after)
         self._aligner = Aligner(self.settings)
         self.health = health

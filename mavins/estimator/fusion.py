@@ -15,16 +15,18 @@ import numpy as np
 from mavins.aiding import Measurement, gnss_position, gnss_velocity
 from mavins.estimator.gate import gate_threshold
 from mavins.filters.base import Filter, FilterState
-from mavins.nav.kernels import kernel
-from mavins.types import FloatArray, IntArray
+from mavins.types import FloatArray
 
 RESETTABLE: Final = {gnss_position.NAME: (0, 0), gnss_velocity.NAME: (1, 3)}
 """aiding -> (place in Track, first state) of what can be reset to GNSS."""
 
 
 class Track(NamedTuple):
-    """What the fusion remembers: times in us (-1: never) of the last accepted position, velocity and heading, since when
-    position and velocity have been rejected without a break, and when the last resets were, of how many."""
+    """What the fusion remembers, times in us (-1: never).
+
+    When position, velocity and heading were last accepted, since when position and velocity have been rejected
+    without a break, how many resets there were, and when the last of them.
+    """
 
     accepted_us: tuple[int, ...] = (-1, -1, -1)
     rejected_since_us: tuple[int, ...] = (-1, -1)
@@ -49,21 +51,6 @@ class Event:
         return not self.reason
 
 
-@kernel
-def innovation_sigma(P: FloatArray, H: FloatArray, R: FloatArray, columns: IntArray) -> FloatArray:
-    """sqrt(diag(H P H^T + R)) (m,): what the residuals should look like."""
-    m, n = H.shape[0], P.shape[0]
-    sigma = np.empty(m)
-    for i in range(m):
-        s = R[i, i]
-        for a in range(n):
-            if H[i, columns[a]] != 0.0:
-                for b in range(n):
-                    s += H[i, columns[a]] * P[a, b] * H[i, columns[b]]
-        sigma[i] = math.sqrt(s) if s > 0.0 else math.nan
-    return sigma
-
-
 def _put(values: tuple[int, ...], place: int, value: int) -> tuple[int, ...]:
     return (*values[:place], value, *values[place + 1 :])
 
@@ -81,13 +68,12 @@ class Fusion:
         m = event.measurement
         r, H = m.model(state.x, state.u, m.z, m.parameters)
         event.innovation = r
-        event.sigma = innovation_sigma(state.P, H, m.R, self._filter.layout.columns)
+        event.sigma = np.empty(len(r))
         event.reason = m.quality
-        event.nis = math.nan
+        gate = 0.0 if m.quality else gate_threshold(m.gate, len(r))
+        event.nis = self._filter.update(state, r, H, m.R, gate, event.sigma)
         if m.quality:
             return
-        gate = gate_threshold(m.gate, len(r))
-        event.nis = self._filter.update(state, r, H, m.R, gate)
         if event.nis <= gate:
             self._accept(m)
         else:

@@ -86,7 +86,10 @@ class StartGate:
             self._recent.popleft()
 
     def _inconsistency(self, fix: GnssFix, standing: bool) -> str:
-        """Standing still, a fix must neither move nor drift; a quiet vehicle that does move must move as its speed says."""
+        """What is wrong with a fix of a vehicle whose IMU is quiet.
+
+        One that stands must neither move nor drift; one that moves smoothly must move as its speed says.
+        """
         speed = math.hypot(fix.v_l[0], fix.v_l[1]) if fix.v_l is not None else 0.0
         old = self._recent[0] if self._recent else None
         dt = 0.0 if old is None else (fix.t_us - old.t_us) * 1e-6

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from mavins.filters.base import FilterState
-from mavins.nav.earth import TangentFrame, dcm_ne, ecef_of, ecef_to_lla
+from mavins.nav.earth import TangentFrame, dcm_ln, ecef_of, ecef_to_lla
 from mavins.nav.kernels import kernel
 from mavins.nav.so3 import dcm_to_quat, euler_jacobian, quat_mul, quat_to_euler
 from mavins.types import FloatArray, Health, NavSolution
@@ -40,12 +40,7 @@ def describe(
     """
     for k in range(x.shape[0]):
         lla = ecef_to_lla(ecef_of(x[k, 0:3], r0_e, C_ne))
-        C_le = dcm_ne(lla[0], lla[1])
-        C_ln = np.zeros((3, 3))
-        for i in range(3):
-            for j in range(3):
-                for m in range(3):
-                    C_ln[i, j] += C_le[i, m] * C_ne[j, m]
+        C_ln = dcm_ln(lla[0], lla[1], C_ne)
         q = quat_mul(dcm_to_quat(C_ln), x[k, 6:10])
         euler = quat_to_euler(q)
         E = euler_jacobian(euler[0], euler[1])

@@ -25,7 +25,8 @@ def mean_rows(rows: FloatArray) -> FloatArray:
     for i in range(rows.shape[0]):
         for j in range(6):
             total[j] += rows[i, j]
-    return total / rows.shape[0]
+    mean: FloatArray = total / rows.shape[0]
+    return mean
 
 
 def _distance(a: FloatArray, b: FloatArray) -> float:

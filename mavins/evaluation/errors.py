@@ -69,7 +69,10 @@ def errors_against(
     euler: FloatArray,
     truth: tuple[IntArray, FloatArray, FloatArray, FloatArray],
 ) -> Errors:
-    """Errors of estimates (lat, lon, alt (N, 3), v_l (N, 3), Euler angles (N, 3)) against truth (t_us, lla, v_l, q_lb)."""
+    """Errors of estimates (lat, lon, alt (N, 3), v_l (N, 3), Euler angles (N, 3)) against a truth.
+
+    The truth is (t_us, lla, v_l, q_lb), as for `interpolate_truth`.
+    """
     true_lla, true_v, true_q, inside = interpolate_truth(at_us, *truth)
     pos, att = _position_and_attitude(lla, euler, true_lla, true_q)
     return Errors(at_us[inside], pos[inside], (v_l - true_v)[inside], att[inside])

@@ -31,7 +31,10 @@ class FilterState:
 
 @dataclass(slots=True)
 class RowBlock:
-    """Estimates at consecutive instants: t_us (N,), x (N, 20), u (N, 6), P (N, 15, 15); the first `count` are filled."""
+    """Estimates at consecutive instants, of which the first `count` are filled.
+
+    t_us (N,), x (N, 20), u (N, 6), P (N, 15, 15).
+    """
 
     t_us: IntArray
     x: FloatArray
@@ -91,9 +94,16 @@ class Filter(Protocol):
         """Move `state` to an instant between two IMU rows, where the reading (6,) has been interpolated."""
 
     def update(
-        self, state: FilterState, r: FloatArray, H: FloatArray, R: FloatArray, gate: float
+        self,
+        state: FilterState,
+        r: FloatArray,
+        H: FloatArray,
+        R: FloatArray,
+        gate: float,
+        sigma: FloatArray,
     ) -> float:
         """Fuse residual r (m,) with its Jacobian over the canonical errors H (m, 19) and noise R (m, m).
 
-        Returns the NIS. Above `gate`, or nan where the result would not be positive definite, the state was left alone.
+        Returns the NIS and writes sqrt(diag(H P H^T + R)) to `sigma` (m,). Above `gate`, or nan where the result would
+        not be positive definite, the state was left alone; gate 0 leaves it alone in any case.
         """

@@ -6,13 +6,12 @@ Theory: docs/theory/eskf.md.
 
 from __future__ import annotations
 
-
 from mavins.filters.base import FilterState, ImuNoise, RowBlock
 from mavins.nav.earth import TangentFrame
 from mavins.nav.ins import Workspace, increments_from_rates, predict, workspace
 from mavins.nav.kernels import kernel
 from mavins.nav.layout import Layout, boxplus
-from mavins.nav.linalg import gated_update, reset_attitude_error
+from mavins.nav.linalg import gated_update, innovation_sigma, reset_attitude_error
 from mavins.types import FloatArray, IntArray
 
 HOLD_US = 200_000
@@ -133,8 +132,10 @@ def fuse(
     R: FloatArray,
     columns: IntArray,
     gate: float,
+    sigma: FloatArray,
 ) -> float:
     """Gated update of P, feedback of the correction into x, reset of the attitude error; returns the NIS."""
+    innovation_sigma(P, H, R, columns, sigma)
     nis, d = gated_update(P, r, H, R, columns, gate)
     if nis <= gate:
         boxplus(x, d, columns)
@@ -201,7 +202,13 @@ class Eskf:
         state.t_us = t_us
 
     def update(
-        self, state: FilterState, r: FloatArray, H: FloatArray, R: FloatArray, gate: float
+        self,
+        state: FilterState,
+        r: FloatArray,
+        H: FloatArray,
+        R: FloatArray,
+        gate: float,
+        sigma: FloatArray,
     ) -> float:
         """Fuse a measurement."""
-        return float(fuse(state.x, state.P, r, H, R, self.layout.columns, gate))
+        return float(fuse(state.x, state.P, r, H, R, self.layout.columns, gate, sigma))

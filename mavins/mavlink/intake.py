@@ -9,13 +9,13 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, ClassVar, Final, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavins.estimator.estimator import Estimator
-from mavins.mavlink.clock import Clock, is_unix
+from mavins.mavlink.clock import Clock, ImuTimes, is_unix
 from mavins.mavlink.codec import (
     IMU_KINDS,
     WRAPPING_IMU_KINDS,
@@ -26,7 +26,6 @@ from mavins.mavlink.codec import (
     GpsRaw,
     Heartbeat,
     HilGps,
-    ImuRows,
     Invalid,
     SystemTime,
     decode,
@@ -34,6 +33,7 @@ from mavins.mavlink.codec import (
     fields_of,
     name_of,
 )
+from mavins.mavlink.codec.framing import gather
 from mavins.mavlink.sources import Sources, SourceSettings, resolve
 from mavins.types import FloatArray, GnssFix, HeadingFix, ImuTable, IntArray
 
@@ -71,24 +71,24 @@ _ATTITUDE_ID: Final = fields_of("ATTITUDE").msgid
 _GLOBAL_POSITION_ID: Final = fields_of("GLOBAL_POSITION_INT").msgid
 
 
-def _boot_us(frames: Frames, i: int) -> int:
-    """The boot milliseconds that such a packet's payload begins with, in microseconds."""
-    return int.from_bytes(frames.body(i, 4), "little") * 1000
+def _boot_stamps(frames: Frames, at: IntArray) -> list[int]:
+    """The first four payload bytes of packets `at` as boot milliseconds, in microseconds: right for the messages
+    that begin so, of no meaning for others."""
+    table = np.ascontiguousarray(frames.table[2:4, at])
+    head = gather(frames.data, table[0], table[1], 4)
+    stamps: list[int] = (head.view("<u4")[:, 0].astype(np.int64) * 1000).tolist()
+    return stamps
 
 
-def _part(
-    rows: ImuRows, compid: IntArray, received_us: IntArray, which: slice | NDArray[np.bool_]
-) -> tuple[ImuRows, IntArray, IntArray]:
-    """Some of the rows of three things that belong together."""
-    part = ImuRows(
-        rows.stamp_us[which],
-        rows.accel_b[which],
-        rows.gyro_b[which],
-        rows.msgid[which],
-        rows.imu_id[which],
-        rows.valid[which],
-    )
-    return part, compid[which], received_us[which]
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """IMU samples of packets `at` (N,): stamps as sent, SI readings (N, 3), reception stamps (us)."""
+
+    at: IntArray
+    stamp_us: IntArray
+    accel_b: FloatArray
+    gyro_b: FloatArray
+    received_us: IntArray
 
 
 class Stamped(Protocol):
@@ -138,34 +138,36 @@ class Intake:
 
         IMU packets are put off until something comes whose place among them matters, and then go on together.
         """
-        msgid = frames.msgid
-        for kind, n in zip(*np.unique(msgid, return_counts=True), strict=True):
-            self.counts[name_of(int(kind))] += int(n)
-        is_imu = np.isin(msgid, _IMU_IDS)
-        imu_at = np.flatnonzero(is_imu)
-        rows = decode_imu(frames, imu_at)
-        compid, received_us = frames.compid[imu_at], frames.t_us[imu_at]
-        taken = 0
+        for msgid, n in zip(*np.unique(frames.msgid, return_counts=True), strict=True):
+            self.counts[name_of(int(msgid))] += int(n)
+        if self.imu is None:
+            frames = self._until_chosen(frames)
+        if self.imu is None or not len(frames):
+            return
+        is_imu = np.isin(frames.msgid, _IMU_IDS)
+        samples = self._samples(frames, np.flatnonzero(is_imu))
         others = np.flatnonzero(~is_imu)
-        for i, before in zip(
-            others.tolist(), np.searchsorted(imu_at, others).tolist(), strict=True
+        stamps = _boot_stamps(frames, others)
+        taken = 0
+        for i, stamp_us, before in zip(
+            others.tolist(), stamps, np.searchsorted(samples.at, others).tolist(), strict=True
         ):
-            if self._is_idle(frames, i):
+            if self._is_idle(int(frames.msgid[i]), stamp_us):
                 continue
             if before > taken:
-                self._take_imu(*_part(rows, compid, received_us, slice(taken, before)))
+                self._place(samples, slice(taken, before))
                 taken = before
             self._take_other(frames, i)
-        if taken < len(imu_at):
-            self._take_imu(*_part(rows, compid, received_us, slice(taken, None)))
+        if taken < len(samples.at):
+            self._place(samples, slice(taken, len(samples.at)))
 
-    def _is_idle(self, frames: Frames, i: int) -> bool:
+    def _is_idle(self, msgid: int, stamp_us: int) -> bool:
         """True for a packet that will change nothing, told at a glance: most ATTITUDEs and GLOBAL_POSITION_INTs."""
-        msgid, sources = int(frames.msgid[i]), self.sources
+        sources = self.sources
         if sources is None:
             return False
         if msgid == _ATTITUDE_ID:
-            return sources.heading != "attitude" or self._too_soon(_boot_us(frames, i))
+            return sources.heading != "attitude" or self._too_soon(stamp_us)
         if msgid == _GLOBAL_POSITION_ID:
             return sources.gnss != "global_position_int" and not sources.vertical_velocity
         return False
@@ -180,69 +182,79 @@ class Intake:
 
     # ---- IMU ---------------------------------------------------------------------------------------------------
 
-    def _take_imu(self, rows: ImuRows, compid: IntArray, received_us: IntArray) -> None:
-        """Take a run of IMU messages of whatever kind: samples, component ids (N,) and reception stamps (N,)."""
-        if self.imu is None:
-            skipped = 0
-            while self.imu is None and skipped < len(rows):
-                self._choose_imu(rows, skipped, int(compid[skipped]), int(received_us[skipped]))
-                skipped += self.imu is None
-            self.dropped["IMU not chosen yet"] += skipped
-            if self.imu is None:
-                return
-            rows, compid, received_us = _part(rows, compid, received_us, slice(skipped, None))
-        msgid, imu_id = self.imu
-        chosen = (rows.msgid == msgid) & (compid == self.compid)
-        usable = chosen & rows.valid & (rows.imu_id == imu_id)
-        if not usable.all():
-            invalid = int((chosen & ~rows.valid).sum())
-            self.dropped["IMU invalid"] += invalid
-            self.dropped["IMU of another id"] += int(chosen.sum()) - invalid - int(usable.sum())
-            rows, compid, received_us = _part(rows, compid, received_us, usable)
-        if not len(rows):
-            return
-        self._place(rows.stamp_us, rows.accel_b, rows.gyro_b, received_us)
-        assert self._first_imu_us is not None
-        if self.sources is None and int(received_us[-1]) - self._first_imu_us > HEARTBEAT_WAIT_US:
-            self._resolve(_MAV_AUTOPILOT_INVALID)
+    def _until_chosen(self, frames: Frames) -> Frames:
+        """Take packets one by one until the IMU message is chosen; returns those from the chosen one on."""
+        for i in range(len(frames)):
+            if int(frames.msgid[i]) not in IMU_KINDS:
+                self._take_other(frames, i)
+                continue
+            self._choose_imu(frames, i)
+            if self.imu is not None:
+                return frames.select(np.arange(i, len(frames)))
+            self.dropped["IMU not chosen yet"] += 1
+        return frames.select(np.arange(0))
 
-    def _choose_imu(self, rows: ImuRows, i: int, compid: int, received_us: int) -> None:
+    def _choose_imu(self, frames: Frames, i: int) -> None:
         """Choose message and sensor once: the best kind at once, else the best that came within a second."""
+        compid, received_us = int(frames.compid[i]), int(frames.t_us[i])
         if self._first_imu_us is None or self.compid is None:
             self._first_imu_us = received_us
             self.compid = compid
-        if compid == self.compid and rows.valid[i]:
-            self._imu_seen.setdefault(int(rows.msgid[i]), int(rows.imu_id[i]))
+        rows = decode_imu(frames, np.array([i], dtype=np.int64))
+        if compid == self.compid and rows.valid[0]:
+            self._imu_seen.setdefault(int(rows.msgid[0]), int(rows.imu_id[0]))
         waited = received_us - self._first_imu_us > CHOICE_US
         if self._imu_seen and (PREFERENCE[0] in self._imu_seen or waited):
             best = min(self._imu_seen, key=PREFERENCE.index)
             self.imu = (best, self._imu_seen[best])
 
-    def _place(
-        self, stamp_us: IntArray, accel_b: FloatArray, gyro_b: FloatArray, received_us: IntArray
-    ) -> None:
+    def _samples(self, frames: Frames, at: IntArray) -> Samples:
+        """The usable samples of the chosen message and sensor among the IMU packets `at`."""
+        assert self.imu is not None
+        msgid, imu_id = self.imu
+        at = at[(frames.msgid[at] == msgid) & (frames.compid[at] == self.compid)]
+        rows = decode_imu(frames, at)
+        usable = rows.valid & (rows.imu_id == imu_id)
+        stamp_us, accel_b, gyro_b = rows.stamp_us, rows.accel_b, rows.gyro_b
+        if not usable.all():
+            invalid = int((~rows.valid).sum())
+            self.dropped["IMU invalid"] += invalid
+            self.dropped["IMU of another id"] += len(rows) - invalid - int(usable.sum())
+            at, stamp_us = at[usable], stamp_us[usable]
+            accel_b, gyro_b = accel_b[usable], gyro_b[usable]
+        return Samples(at, stamp_us, accel_b, gyro_b, frames.t_us[at])
+
+    def _place(self, samples: Samples, part: slice) -> None:
         """Put samples on the time base and hand them over; a reboot between them starts the estimator over."""
         assert self.imu is not None
+        assert self._first_imu_us is not None
+        received_us = samples.received_us[part]
+        accel_b, gyro_b = samples.accel_b[part], samples.gyro_b[part]
         wraps = IMU_KINDS[self.imu[0]] in WRAPPING_IMU_KINDS
-        times = self.clock.map_imu(stamp_us, received_us, wraps)
-        self.dropped["IMU zero stamp"] += times.zero_stamps
-        self.dropped["IMU wild stamp"] += times.wild_stamps
+        times = self.clock.map_imu(samples.stamp_us[part], received_us, wraps)
+        if times.keep.all() and not times.events:
+            self.estimator.feed_imu(ImuTable(times.t_us, accel_b, gyro_b))
+        else:
+            self.dropped["IMU zero stamp"] += times.zero_stamps
+            self.dropped["IMU wild stamp"] += times.wild_stamps
+            self._place_around_events(times, accel_b, gyro_b)
+        if self.sources is None and int(received_us[-1]) - self._first_imu_us > HEARTBEAT_WAIT_US:
+            self._resolve(_MAV_AUTOPILOT_INVALID)
+
+    def _place_around_events(
+        self, times: ImuTimes, accel_b: FloatArray, gyro_b: FloatArray
+    ) -> None:
         start = 0
-        for event in (*times.events, None):
-            if event is not None and event.kind != "reboot":
-                continue
-            part = slice(start, None if event is None else event.row)
-            keep = times.keep[part]
-            table = ImuTable(times.t_us[part], accel_b[part], gyro_b[part])
-            if not keep.all():
-                table = ImuTable(table.t_us[keep], table.accel_b[keep], table.gyro_b[keep])
-            if len(table):
-                self.estimator.feed_imu(table)
-            if event is not None:
-                start = event.row
+        reboots = [event.row for event in times.events if event.kind == "reboot"]
+        for end in (*reboots, len(times.t_us)):
+            rows = start + np.flatnonzero(times.keep[start:end])
+            if len(rows):
+                self.estimator.feed_imu(ImuTable(times.t_us[rows], accel_b[rows], gyro_b[rows]))
+            if end in reboots:
                 self.counts["reboots"] += 1
                 self._forget()
                 self.estimator.restart("the vehicle has rebooted")
+            start = end
 
     def _forget(self) -> None:
         """A reboot voids every stamp that was kept."""

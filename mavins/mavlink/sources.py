@@ -66,12 +66,11 @@ def resolve(
     delay = gnss.delay
     if delay == "auto":
         delay = 0.14 if autopilot == ARDUPILOT else 0.0
-    rate = heading.max_rate
-    limit: float | None
-    if rate == "auto":
-        limit = 5.0 if has_filter and heading_source == "attitude" else None
-    else:
-        limit = rate
+    limit: float | None = None
+    if heading.max_rate != "auto":
+        limit = heading.max_rate
+    elif has_filter and heading_source == "attitude":
+        limit = 5.0
     vertical = wanted.vertical_velocity
     return Sources(
         gnss_source,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
 from typing import Final
@@ -54,7 +55,7 @@ def quality_of(solution: NavSolution) -> int:
     """ODOMETRY.quality: 100 where position is known to a metre or better, less beyond, at least 1."""
     if solution.health != Health.RUNNING:
         return 1
-    sigma = float(max(solution.P[0, 0], solution.P[1, 1])) ** 0.5
+    sigma = math.sqrt(max(solution.P[0, 0], solution.P[1, 1]))
     return max(1, min(100, round(100.0 / max(1.0, sigma))))
 
 

@@ -45,7 +45,10 @@ def lla_to_ecef(lat: float, lon: float, alt: float) -> FloatArray:
 
 @kernel
 def geodetic_direction(x: float, y: float, z: float) -> tuple[float, float, float]:
-    """(sin lat, cos lat, alt) of the ECEF position (x, y, z), by two rounds of Bowring's formula: exact to rounding below 100 km."""
+    """(sin lat, cos lat, alt) of the ECEF position (x, y, z).
+
+    Two rounds of Bowring's formula: exact to rounding below 100 km of height.
+    """
     d = math.sqrt(x * x + y * y)
     sin_lat, cos_lat = 0.0, 1.0
     tan_beta_n = z * SEMI_MAJOR
@@ -156,6 +159,31 @@ def write_gravity_gradient(G: FloatArray, g0: float, g1: float, g2: float) -> No
     G[2, 2] = c * g2 * g2 - k
 
 
+@kernel
+def dcm_ln(lat: float, lon: float, C_ne: FloatArray) -> FloatArray:
+    """C_ln (3, 3): takes n, whose axes are `C_ne`, to the local level frame at (lat, lon): C_le C_en."""
+    C_le = dcm_ne(lat, lon)
+    C = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            C[i, j] = C_le[i, 0] * C_ne[j, 0] + C_le[i, 1] * C_ne[j, 1] + C_le[i, 2] * C_ne[j, 2]
+    return C
+
+
+@kernel
+def point_n(lat: float, lon: float, alt: float, r0_e: FloatArray, C_ne: FloatArray) -> FloatArray:
+    """p_n (3,) in m of a geodetic position: C_ne (r_e - r0_e)."""
+    r = lla_to_ecef(lat, lon, alt)
+    p = np.empty(3)
+    for i in range(3):
+        p[i] = (
+            C_ne[i, 0] * (r[0] - r0_e[0])
+            + C_ne[i, 1] * (r[1] - r0_e[1])
+            + C_ne[i, 2] * (r[2] - r0_e[2])
+        )
+    return p
+
+
 @dataclass(frozen=True, slots=True)
 class TangentFrame:
     """Frame n: its origin, the origin's ECEF position `r0_e` (3,), `C_ne` (3, 3) and the Earth rate `w_ie_n` (3,)."""
@@ -174,12 +202,12 @@ class TangentFrame:
 
     def from_lla(self, lat: float, lon: float, alt: float) -> FloatArray:
         """p_n (3,) in m of a geodetic position; exact at any distance."""
-        return self.C_ne @ (lla_to_ecef(lat, lon, alt) - self.r0_e)
+        return point_n(lat, lon, alt, self.r0_e, self.C_ne)
 
     def to_lla(self, p_n: FloatArray) -> FloatArray:
         """[lat, lon, alt] in rad, rad, m of a point p_n (3,)."""
-        return ecef_to_lla(self.r0_e + self.C_ne.T @ p_n)
+        return ecef_to_lla(ecef_of(p_n, self.r0_e, self.C_ne))
 
     def local_level(self, lat: float, lon: float) -> FloatArray:
         """C_ln (3, 3): takes n to the local level frame at (lat, lon)."""
-        return dcm_ne(lat, lon) @ self.C_ne.T
+        return dcm_ln(lat, lon, self.C_ne)

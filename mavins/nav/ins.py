@@ -40,8 +40,8 @@ def increments_from_rates(
     """(phi, dv) over an interval between two point samples, rate and specific force linear in between.
 
     phi = W + w0 x w1 dt^2/12 (coning) and dv = F + W x F / 2 + W x (W x F) / 6 + (w0 x f1 + f0 x w1) dt^2/12
-    (rotation to third order, sculling) with W = (w0 + w1) dt/2 and F = (f0 + f1) dt/2. rad/s and m/s^2 in, rad and m/s out; for smooth signals the
-    error falls as dt^2.
+    (rotation to third order, sculling) with W = (w0 + w1) dt/2 and F = (f0 + f1) dt/2. rad/s and m/s^2 in, rad and
+    m/s out; for smooth signals the error falls as dt^2.
     """
     h = 0.5 * dt
     k = dt * dt / 12.0
@@ -68,7 +68,8 @@ def increments_from_integrals(
     """(phi, dv) over an interval from its integrals `a1` of the rate and `s1` of the specific force.
 
     `a0`, `s0` are the integrals over the interval before, of the same length: phi = a1 + a0 x a1 / 12,
-    dv = s1 + a1 x s1 / 2 + a1 x (a1 x s1) / 6 + (a0 x s1 + s0 x a1) / 12 (Savage 1998, one sample with the one before it).
+    dv = s1 + a1 x s1 / 2 + a1 x (a1 x s1) / 6 + (a0 x s1 + s0 x a1) / 12
+    (Savage 1998, one sample with the one before it).
     """
     coning = _cross(a0, a1)
     rotation = _cross(a1, s1)
@@ -95,7 +96,7 @@ def mechanize(
     w_ie_n: FloatArray,
     C: FloatArray,
 ) -> Vector:
-    """Move the nominal state `x` over one interval, in place; writes C_nb at its start to `C`, returns g_n at its middle.
+    """Move the nominal state `x` over one interval, in place; C <- C_nb at its start; returns g_n at its middle.
 
     q <- Exp(-w_ie dt) (x) q (x) Exp(phi); v <- v + (I - [w_ie dt/2]x) C_nb dv + (g_n - 2 w_ie x v) dt with g_n and
     the Coriolis term at mid-interval; p by the trapezoid of v.

@@ -21,6 +21,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 _PACKAGE: Final = Path(__file__).resolve().parent.parent
 _KEPT_CACHES: Final = 4
+_COMPLETE: Final = "complete"
 
 
 def cache_root() -> Path:
@@ -82,14 +83,21 @@ def kernel(function: F) -> F:
         return cast(F, numba.njit(error_model="numpy")(function))
     # numba reads its cache folder while it decorates; putting the setting back leaves other users of
     # numba in this process alone.
-    before = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = str(CACHE)
+    config: Any = numba.config
+    before = config.CACHE_DIR
+    config.CACHE_DIR = str(CACHE)
     try:
         return cast(F, numba.njit(cache=True, error_model="numpy")(function))
     finally:
-        numba.config.CACHE_DIR = before
+        config.CACHE_DIR = before
 
 
 def is_cached() -> bool:
-    """True where an earlier start has left compiled kernels, so that this one need not compile them."""
-    return CACHE is not None and any(CACHE.rglob("*.nbi"))
+    """True where an earlier start has compiled every kernel, so that this one need not."""
+    return CACHE is not None and (CACHE / _COMPLETE).exists()
+
+
+def mark_cached() -> None:
+    """Note that every kernel has been compiled."""
+    if CACHE is not None:
+        (CACHE / _COMPLETE).touch()

@@ -110,6 +110,21 @@ def gated_update(
 
 
 @kernel
+def innovation_sigma(
+    P: FloatArray, H: FloatArray, R: FloatArray, columns: IntArray, sigma: FloatArray
+) -> None:
+    """Sigma (m,) <- sqrt(diag(H P H^T + R)), what the residuals of H (m, 19) should look like; shapes as above."""
+    n = P.shape[0]
+    for i in range(H.shape[0]):
+        s = R[i, i]
+        for a in range(n):
+            if H[i, columns[a]] != 0.0:
+                for b in range(n):
+                    s += H[i, columns[a]] * P[a, b] * H[i, columns[b]]
+        sigma[i] = math.sqrt(s) if s > 0.0 else math.nan
+
+
+@kernel
 def reset_attitude_error(P: FloatArray, theta: FloatArray) -> None:
     """P <- G P G^T in place with G = Jr(theta) on the attitude block, once theta has gone into q (Sola eq. 287)."""
     n = P.shape[0]

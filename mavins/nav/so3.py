@@ -247,7 +247,8 @@ def right_jacobian_inv(phi: FloatArray) -> FloatArray:
     else:
         a = math.sqrt(a2)
         c = 1.0 / a2 - (1.0 + math.cos(a)) / (2.0 * a * math.sin(a))
-    return np.eye(3) + 0.5 * S + c * (S @ S)
+    J: FloatArray = np.eye(3) + 0.5 * S + c * (S @ S)
+    return J
 
 
 @kernel
