@@ -1,0 +1,102 @@
+"""Noise-matched Monte-Carlo runs: the covariance must be as large as the errors are."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+
+import numpy as np
+import pytest
+
+from mavins.estimator.settings import GnssSettings, HeadingSettings, ImuSettings, Settings
+from mavins.evaluation.consistency import band, errors, nees, share_inside
+from mavins.evaluation.montecarlo import Estimates, estimate
+from mavins.types import FloatArray, Origin
+from sitl.imu import TriadSettings
+from sitl.scenario import Scenario, load
+from sitl.simulation import Measurements, TruthTable, simulate
+
+RUNS = 30
+SETTLED_US = 30_000_000
+SECOND_US = 1_000_000
+pytestmark = [pytest.mark.slow, pytest.mark.jit]
+
+
+def without_model_errors(scenario: Scenario) -> Scenario:
+    """The scenario with white noises and biases only; its truth is not sampled beside the IMU."""
+
+    def linear(triad: TriadSettings) -> TriadSettings:
+        return dataclasses.replace(triad, scale_factor=0.0, quantum=0.0, full_scale=None)
+
+    imu = scenario.imu
+    matched = dataclasses.replace(imu, gyro=linear(imu.gyro), accel=linear(imu.accel))
+    return dataclasses.replace(scenario, imu=matched, truth_rate=1)
+
+
+def matched_settings(scenario: Scenario) -> Settings:
+    """The filter's noises are the scenario's: nothing is added, no floor is felt."""
+    gyro, accel = scenario.imu.gyro, scenario.imu.accel
+    return Settings(
+        imu=ImuSettings(
+            gyro_noise=gyro.noise,
+            accel_noise=accel.noise,
+            gyro_bias_walk=gyro.bias_walk,
+            accel_bias_walk=accel.bias_walk,
+            gyro_bias_sigma=gyro.bias,
+            accel_bias_sigma=accel.bias,
+        ),
+        gnss=GnssSettings(delay=0.0, position_floor=1e-3, velocity_floor=1e-3),
+        heading=HeadingSettings(sigma_deg=scenario.heading.sigma_deg),
+    )
+
+
+def origin_of(scenario: Scenario) -> Origin:
+    o = scenario.origin
+    return Origin(math.radians(o.lat_deg), math.radians(o.lon_deg), o.alt)
+
+
+def true_states(truth: TruthTable, estimates: Estimates) -> FloatArray:
+    k = np.searchsorted(truth.t_us, estimates.t_us)
+    assert np.array_equal(truth.t_us[k], estimates.t_us)
+    x = np.zeros((len(k), 20))
+    x[:, :16] = np.hstack(
+        [truth.p_n[k], truth.v_n[k], truth.q_nb[k], truth.b_g[k], truth.b_a[k]],
+    )
+    return x
+
+
+def series(scenario: Scenario, duration: float) -> Iterator[tuple[Measurements, Estimates]]:
+    """Simulate here, estimate in two other processes."""
+    settings, origin = matched_settings(scenario), origin_of(scenario)
+    with ProcessPoolExecutor(2) as pool:
+        runs = []
+        for seed in range(RUNS):
+            m = simulate(scenario, seed, duration)
+            args = (settings, origin, m.imu, m.fixes, m.headings, SECOND_US)
+            runs.append((m, pool.submit(estimate, *args)))
+        for m, job in runs:
+            yield m, job.result()
+
+
+@pytest.mark.parametrize(("name", "duration"), [("quad_mission", 145.0), ("square_spiral", 300.0)])
+@pytest.mark.timeout(600)
+def test_mean_nees_keeps_its_band(name: str, duration: float) -> None:
+    scenario = without_model_errors(load(name))
+    runs = []
+    for flight, estimates in series(scenario, duration):
+        refused = {key for key in estimates.decisions if key[1]}
+        assert not refused
+        e = errors(true_states(flight.truth, estimates), estimates.x)
+        runs.append((estimates.t_us, nees(e, estimates.P)))
+    begin = max(t_us[0] for t_us, _ in runs) + SETTLED_US
+    mean = np.mean([values[t_us >= begin] for t_us, values in runs], axis=0)
+    assert len(mean) > 90
+    assert share_inside(mean, dof=9, runs=RUNS) >= 0.9, f"mean NEES {mean.mean():.2f} of 9"
+
+
+def test_the_band_is_the_one_of_chi_square() -> None:
+    low, high = band(dof=9, runs=30)
+    assert low == pytest.approx(7.545, abs=0.01)
+    assert high == pytest.approx(10.58, abs=0.01)
