@@ -34,9 +34,8 @@ def nees(e: FloatArray, P: FloatArray, which: IntArray = NAVIGATION) -> FloatArr
     """E^T P^-1 e (N,) of errors e (N, n), covariances P (N, n, n), over the components `which`."""
     part = e[:, which]
     block = P[:, which[:, None], which]
-    solved: FloatArray = np.linalg.solve(block, part[..., None])[..., 0]
-    result: FloatArray = np.einsum("ki,ki->k", part, solved)
-    return result
+    solved = np.asarray(np.linalg.solve(block, part[..., None])[..., 0], dtype=np.float64)
+    return np.asarray(np.einsum("ki,ki->k", part, solved), dtype=np.float64)
 
 
 def band(dof: int, runs: int, confidence: float = 0.95) -> tuple[float, float]:

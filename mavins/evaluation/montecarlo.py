@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import heapq
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,7 +60,8 @@ def estimate(
     estimator = Estimator(settings, filter_name, Outputs(grid_us, take, decide))
     estimator.set_origin(origin)
     start = 0
-    for aid in heapq.merge(headings, fixes, key=lambda aid: aid.t_us):
+    aids: Iterator[GnssFix | HeadingFix] = heapq.merge(headings, fixes, key=_stamp)
+    for aid in aids:
         end = int(imu.t_us.searchsorted(aid.t_us, "right"))
         if end > start:
             estimator.feed_imu(_rows(imu, start, end))
@@ -78,6 +79,10 @@ def estimate(
         )
     t_us, x, P = (np.concatenate(part) for part in zip(*blocks, strict=True))
     return Estimates(t_us, x, P, decisions)
+
+
+def _stamp(aid: GnssFix | HeadingFix) -> int:
+    return aid.t_us
 
 
 def _rows(imu: ImuTable, start: int, end: int) -> ImuTable:
