@@ -21,6 +21,8 @@ from mavins.logs.tlog import read_tlog
 from mavins.logs.truth import truth_of
 from mavins.mavlink.codec import IMU_KINDS, Frames, OriginRequest, decode, fields_of
 from mavins.mavlink.intake import RELEVANT, Intake
+from mavins.mavlink.session import sysid_for
+from mavins.mavlink.settings import SessionSettings
 from mavins.results import ResultWriter, write_json, write_text
 from mavins.types import Origin
 
@@ -80,7 +82,7 @@ def replay(
         outputs = Outputs(grid_us(options.rate), writer.write_rows, writer.write_decision)
         estimator = Estimator(config, config.filter, outputs)
         intake = Intake(estimator, config.sources)
-        _feed(intake, frames, sysid, progress)
+        _feed(intake, frames, sysid, our_sysid(frames, sysid, config.mavlink), progress)
         estimator.finish()
     if intake.imu is None:
         raise LogFormatError(f"the log has no usable IMU messages of vehicle {sysid}")
@@ -118,11 +120,25 @@ def replay(
     return summary
 
 
-def _feed(intake: Intake, frames: Frames, sysid: int, progress: Callable[[float], None]) -> None:
-    """All of a vehicle's packets, and between them the origins that others asked for."""
+def our_sysid(frames: Frames, sysid: int, settings: SessionSettings) -> int:
+    """The sysid under which a live session, seeing these packets, speaks about a vehicle."""
+    imu_at = np.flatnonzero(np.isin(frames.msgid, list(IMU_KINDS)))
+    vehicles, first = np.unique(frames.sysid[imu_at], return_index=True)
+    ours: dict[int, int] = {}
+    for k in np.argsort(first).tolist():
+        vehicle = int(vehicles[k])
+        if vehicle not in ours.values():  # a recording holds our own HIGHRES_IMU too
+            seen = set(frames.sysid[: imu_at[first[k]] + 1].tolist())
+            ours[vehicle] = sysid_for(vehicle, settings, seen, set(ours.values()))
+    return ours.get(sysid, 0)
+
+
+def _feed(
+    intake: Intake, frames: Frames, sysid: int, our: int, progress: Callable[[float], None]
+) -> None:
+    """All of a vehicle's packets, and between them the origins that others asked of us, who speak as `our`."""
     relevant = (frames.sysid == sysid) & np.isin(frames.msgid, RELEVANT)
-    origins = (frames.msgid == SET_GPS_GLOBAL_ORIGIN) & (frames.sysid != sysid)
-    chosen = frames.select(relevant | origins)
+    chosen = frames.select(relevant | (frames.msgid == SET_GPS_GLOBAL_ORIGIN))
     at_origin = np.flatnonzero(chosen.msgid == SET_GPS_GLOBAL_ORIGIN)
     edges = np.unique(np.concatenate([np.arange(0, len(chosen), CHUNK), at_origin, at_origin + 1]))
     for start, end in itertools.pairwise([*edges.tolist(), len(chosen)]):
@@ -131,7 +147,7 @@ def _feed(intake: Intake, frames: Frames, sysid: int, progress: Callable[[float]
         part = chosen.select(np.arange(start, end))
         if part.msgid[0] == SET_GPS_GLOBAL_ORIGIN:
             request = decode(part, 0)
-            if isinstance(request, OriginRequest) and request.target_system != sysid:
+            if isinstance(request, OriginRequest) and request.target_system in (0, our):
                 intake.estimator.set_origin(Origin(request.lat, request.lon, request.alt))
         else:
             intake.take(part)

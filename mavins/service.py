@@ -169,7 +169,7 @@ class Service:
         return VehicleStatus(
             sysid=vehicle.sysid,
             health=estimator.health.name.lower(),
-            reason=estimator.reason,
+            reason=vehicle.silence(self._now_us()) or estimator.reason,
             t_us=estimator.t_us or 0,
             estimate=None if solution is None else estimate_status(solution),
             rates=rates,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, Final
 
 from pymavlink.dialects.v20 import all as dialect
@@ -24,7 +25,6 @@ from mavins.mavlink.streams import (
     ESTIMATOR_TYPE_GPS_INS,
     estimator_status_of,
     quality_of,
-    sys_status_of,
 )
 from mavins.mavlink.vehicle import Vehicle
 
@@ -52,7 +52,7 @@ def answer(message: Any, sender: tuple[int, int], vehicle: Vehicle) -> list[Payl
     command = int(message.command)
     if command != REQUEST_MESSAGE:
         return [command_ack(command, _UNSUPPORTED, *sender)]
-    wanted = int(message.param1) if message.param1 == message.param1 else -1
+    wanted = int(message.param1) if math.isfinite(message.param1) else -1
     if wanted not in _REQUESTABLE:
         return [command_ack(command, _UNSUPPORTED, *sender)]
     payload = _requested(wanted, vehicle)
@@ -73,7 +73,7 @@ def _requested(msgid: int, vehicle: Vehicle) -> Payload | None:
         ]
         return autopilot_version(_CAPABILITIES, (major, minor, patch), vehicle.our_sysid)
     if msgid == 1:
-        return sys_status_of(estimator, vehicle.intake.last_fix is not None)
+        return vehicle.sys_status()
     solution = estimator.solution()
     if solution is None or estimator.frame is None or vehicle.home is None:
         return None

@@ -9,9 +9,9 @@ datagram), so that a recording of the packets and their stamps gives the same es
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Hashable, Iterable
+from collections.abc import Callable, Collection, Hashable, Iterable
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Final, Protocol
 
 import numpy as np
 
@@ -25,8 +25,9 @@ from mavins.mavlink.sources import SourceSettings
 from mavins.mavlink.vehicle import Holder, Vehicle
 from mavins.types import Origin
 
-COMPID = 1
-_IMU_IDS = np.array(sorted(IMU_KINDS), dtype=np.int64)
+COMPID: Final = 1
+_RELEVANT: Final = frozenset(RELEVANT.tolist())
+_REQUESTS: Final = frozenset((*COMMANDS, SET_GPS_GLOBAL_ORIGIN))
 
 
 class Recorder(Protocol):
@@ -48,6 +49,17 @@ class Peer:
         number = self.sequence.get(sysid, 0)
         self.sequence[sysid] = (number + 1) % 256
         return number
+
+
+def sysid_for(
+    sysid: int, settings: SessionSettings, seen: Collection[int], ours: Collection[int]
+) -> int:
+    """The sysid under which we speak about vehicle `sysid`: of those not `seen` in use, nor `ours` for another one."""
+    if settings.sysid != "auto" and not ours:
+        return settings.sysid
+    candidates = [1 + (sysid + 98 + k) % 250 for k in range(250)]
+    free = [c for c in candidates if c not in ours]
+    return next((c for c in free if c not in seen), free[0])
 
 
 class Session:
@@ -76,7 +88,7 @@ class Session:
         self._recorded = Peer(None)
         self._out: list[tuple[bytes, Hashable]] = []
         self._seen_sysids: set[int] = set()
-        self._wanted_origin: Origin | None = None
+        self._wanted_origins: list[OriginRequest] = []
 
     def add_peer(self, address: Hashable) -> None:
         """A peer that receives without having sent."""
@@ -85,7 +97,8 @@ class Session:
     def receive(self, data: bytes, address: Hashable, now_us: int) -> Frames:
         """Take one datagram; returns its packets that were let in (evaluation looks for truth among them)."""
         frames = scan(data, now_us)
-        self._count_damage(frames.damage)
+        if frames.damage:
+            self._count_damage(frames.damage)
         if not len(frames):
             return frames
         self.packets_in += len(frames)
@@ -93,15 +106,28 @@ class Session:
         if self._recorder is not None:
             for i in range(len(frames)):
                 self._recorder.write(now_us, frames.packet(i))
-        for sysid in np.unique(frames.sysid).tolist():
-            vehicle = self.vehicles.get(sysid)
-            if vehicle is not None:
-                mine = frames.select((frames.sysid == sysid) & np.isin(frames.msgid, RELEVANT))
-                if len(mine):
-                    self._say(vehicle, vehicle.take(mine), now_us)
-        for i in np.flatnonzero(np.isin(frames.msgid, (*COMMANDS, SET_GPS_GLOBAL_ORIGIN))).tolist():
+        msgids, sysids = frames.msgid.tolist(), frames.sysid.tolist()
+        start = 0
+        # a request takes effect at its place among the packets, as it will in a replay
+        for i in [i for i, msgid in enumerate(msgids) if msgid in _REQUESTS]:
+            self._feed(frames, sysids, msgids, start, i)
             self._request(frames, i, address, now_us)
+            start = i + 1
+        self._feed(frames, sysids, msgids, start, len(msgids))
         return frames
+
+    def _feed(
+        self, frames: Frames, sysids: list[int], msgids: list[int], start: int, end: int
+    ) -> None:
+        """Hand a stretch of packets to the vehicles that they are from."""
+        for sysid in dict.fromkeys(sysids[start:end]):
+            vehicle = self.vehicles.get(sysid)
+            if vehicle is None:
+                continue
+            mine = [k for k in range(start, end) if sysids[k] == sysid and msgids[k] in _RELEVANT]
+            if mine:
+                chosen = frames if len(mine) == len(msgids) else frames.select(np.array(mine))
+                self._say(vehicle, vehicle.take(chosen), int(frames.t_us[0]))
 
     def tick(self, now_us: int) -> None:
         """What is due by our own clock; call it some ten times a second."""
@@ -122,33 +148,33 @@ class Session:
     def _let_in(self, frames: Frames, address: Hashable, now_us: int) -> Frames:
         """The packets that count: not our own that came back, and of a vehicle only those of its own address."""
         ours = {vehicle.our_sysid for vehicle in self.vehicles.values()}
-        keep = np.ones(len(frames), dtype=bool)
+        sysids, out = frames.sysid.tolist(), set[int]()
         if not self._is_local(address):
             # turned away here and not later, so that a recording holds only requests that were carried out
-            foreign = frames.msgid == SET_GPS_GLOBAL_ORIGIN
-            keep &= ~foreign
-            self.dropped["SET_GPS_GLOBAL_ORIGIN from another host"] += int(foreign.sum())
-        for sysid in np.unique(frames.sysid).tolist():
-            of_sysid = frames.sysid == sysid
+            foreign = np.flatnonzero(frames.msgid == SET_GPS_GLOBAL_ORIGIN).tolist()
+            out.update(foreign)
+            self.dropped["SET_GPS_GLOBAL_ORIGIN from another host"] += len(foreign)
+        for sysid in sorted(set(sysids)):
+            at = [i for i, s in enumerate(sysids) if s == sysid]
             if sysid in ours:
-                echo = of_sysid & (frames.compid == COMPID)
-                keep &= ~echo
-                self.dropped["our own packets"] += int(echo.sum())
+                echo = [i for i in at if int(frames.compid[i]) == COMPID]
+                out.update(echo)
+                self.dropped["our own packets"] += len(echo)
                 continue
             vehicle = self.vehicles.get(sysid)
             if vehicle is not None and vehicle.holder.address != address:
                 silent_us = now_us - vehicle.holder.seen_us
                 if silent_us <= self._settings.vehicle_timeout * 1e6:
-                    keep &= ~of_sysid
-                    self.dropped[f"sysid {sysid} from another address"] += int(of_sysid.sum())
+                    out.update(at)
+                    self.dropped[f"sysid {sysid} from another address"] += len(at)
                     continue
             self._seen_sysids.add(sysid)
-            if vehicle is None and np.isin(frames.msgid[of_sysid], _IMU_IDS).any():
+            if vehicle is None and any(int(frames.msgid[i]) in IMU_KINDS for i in at):
                 vehicle = self._new_vehicle(sysid, address, now_us)
             if vehicle is not None:
                 vehicle.holder = Holder(address, now_us)
-        if not keep.all():
-            frames = frames.select(keep)
+        if out:
+            frames = frames.select(np.array([i for i in range(len(sysids)) if i not in out], int))
         if len(frames):
             self._see_peer(address, now_us)
         return frames
@@ -175,25 +201,23 @@ class Session:
             Intake(estimator, self._sources),
             Holder(address, now_us),
             self._streams,
+            round(self._settings.vehicle_timeout * 1e6),
         )
         self.vehicles[sysid] = vehicle
+        for request in self._wanted_origins:
+            if request.target_system in (0, vehicle.our_sysid):
+                vehicle.set_origin(Origin(request.lat, request.lon, request.alt))
         return vehicle
 
     def _our_sysid(self, sysid: int) -> int:
-        taken = self._seen_sysids | {vehicle.our_sysid for vehicle in self.vehicles.values()}
-        if self._settings.sysid != "auto" and not self.vehicles:
-            return self._settings.sysid
-        wanted = 1 + (sysid + 98) % 250
-        while wanted in taken:
-            wanted = 1 + wanted % 250
-        return wanted
+        ours = {vehicle.our_sysid for vehicle in self.vehicles.values()}
+        return sysid_for(sysid, self._settings, self._seen_sysids, ours)
 
     def _count_damage(self, damage: Damage) -> None:
-        if damage:
-            for name in ("bad_crc", "unknown", "truncated", "skipped_bytes"):
-                count = getattr(damage, name)
-                if count:
-                    self.dropped[name.replace("_", " ")] += count
+        for name in ("bad_crc", "unknown", "truncated", "skipped_bytes"):
+            count = getattr(damage, name)
+            if count:
+                self.dropped[name.replace("_", " ")] += count
 
     # ---- what goes out -----------------------------------------------------------------------------------------
 
@@ -202,9 +226,12 @@ class Session:
         for payload in payloads:
             for address in self.peers:
                 self._send(vehicle, payload, address)
-            if self._recorder is not None:
-                number = self._recorded.next_sequence(vehicle.our_sysid)
-                self._recorder.write(now_us, frame(payload, vehicle.our_sysid, COMPID, number))
+            self._record(vehicle, payload, now_us)
+
+    def _record(self, vehicle: Vehicle, payload: Payload, now_us: int) -> None:
+        if self._recorder is not None:
+            number = self._recorded.next_sequence(vehicle.our_sysid)
+            self._recorder.write(now_us, frame(payload, vehicle.our_sysid, COMPID, number))
 
     def _send(self, vehicle: Vehicle, payload: Payload, address: Hashable) -> None:
         peer = self.peers.get(address)
@@ -228,11 +255,18 @@ class Session:
             if message.target_system in (0, vehicle.our_sysid):
                 for payload in answer(message, sender, vehicle):
                     self._send(vehicle, payload, address)
+                    self._record(vehicle, payload, now_us)
 
     def _origin(self, frames: Frames, i: int, now_us: int) -> None:
         request = decode_frame(frames, i)
         if not isinstance(request, OriginRequest):
+            self.dropped["SET_GPS_GLOBAL_ORIGIN unusable"] += 1
             return
+        # a vehicle that is not here yet will be told
+        self._wanted_origins = [
+            r for r in self._wanted_origins if r.target_system != request.target_system
+        ]
+        self._wanted_origins.append(request)
         for vehicle in self.vehicles.values():
             if request.target_system in (0, vehicle.our_sysid):
                 origin = Origin(request.lat, request.lon, request.alt)

@@ -81,11 +81,11 @@ def estimator_status_of(estimator: Estimator, solution: NavSolution) -> Payload:
     )
 
 
-def sys_status_of(estimator: Estimator, gnss_seen: bool) -> Payload:
-    """SYS_STATUS of an estimator, running or not."""
+def sys_status_of(estimator: Estimator, gnss_seen: bool, silent: bool = False) -> Payload:
+    """SYS_STATUS of an estimator, running or not; of a `silent` vehicle no sensor is healthy."""
     present = _GYRO | _ACCEL | _MAG | _AHRS | _GEOFENCE | (_GPS if gnss_seen else 0)
-    health = _GYRO | _ACCEL | _GEOFENCE
-    if estimator.running:
+    health = _GEOFENCE if silent else _GYRO | _ACCEL | _GEOFENCE
+    if estimator.running and not silent:
         health |= _MAG | _AHRS
         if estimator.health == Health.RUNNING:
             health |= _GPS

@@ -23,12 +23,13 @@ from mavins.types import GnssFix, Health, Origin
 HEARTBEAT_US: Final = 1_000_000
 MAV_TYPE_GENERIC: Final = 0
 MAV_AUTOPILOT_GENERIC: Final = 0
+MAV_STATE_CRITICAL: Final = 5
 _STATE: Final = {
     Health.WAITING: 1,
     Health.ALIGNING: 2,
     Health.RUNNING: 4,
-    Health.DEAD_RECKONING: 5,
-    Health.DIVERGED: 5,
+    Health.DEAD_RECKONING: MAV_STATE_CRITICAL,
+    Health.DIVERGED: MAV_STATE_CRITICAL,
 }
 """Health -> MAV_STATE: boot, calibrating, active, critical."""
 _SEVERITY: Final = {
@@ -51,7 +52,7 @@ class Holder:
 
 @dataclass(slots=True)
 class Vehicle:
-    """One vehicle. `sysid` is its own, `our_sysid` the one we speak under."""
+    """One vehicle. `sysid` is its own, `our_sysid` the one we speak under; `lack` says what it has stopped sending."""
 
     sysid: int
     our_sysid: int
@@ -59,8 +60,12 @@ class Vehicle:
     intake: Intake
     holder: Holder
     stream_settings: StreamSettings
+    timeout_us: int = 3_000_000
     home: Home | None = None
+    lack: str = ""
     streams: Streams = field(init=False)
+    _imu_us: int = field(init=False)
+    _imu_rows: int = 0
     _said: tuple[Health, int] = (Health.WAITING, 0)
     _fix: GnssFix | None = None
     _heartbeat_us: int | None = None
@@ -69,18 +74,22 @@ class Vehicle:
 
     def __post_init__(self) -> None:
         self.streams = Streams(self.stream_settings)
+        self._imu_us = self.holder.seen_us
 
     def take(self, frames: Frames) -> list[Payload]:
         """Feed packets of the vehicle; returns what is due to be said because of them."""
         self.intake.take(frames)
+        if self.estimator.imu_rows != self._imu_rows:
+            self._imu_rows = self.estimator.imu_rows
+            self._imu_us = int(frames.t_us[-1])
         return [*self._news(), *self._fix_news(), *self.streams.due(self.estimator, self.home)]
 
     def tick(self, now_us: int) -> list[Payload]:
-        """What is due by our own clock: HEARTBEAT and SYS_STATUS."""
-        due: list[Payload] = []
+        """What is due by our own clock: HEARTBEAT and SYS_STATUS, and a word when the vehicle falls silent."""
+        due = self._silence_news(now_us)
         if self._heartbeat_us is None or now_us - self._heartbeat_us >= HEARTBEAT_US:
             self._heartbeat_us = now_us
-            state = _STATE[self.estimator.health]
+            state = MAV_STATE_CRITICAL if self.lack else _STATE[self.estimator.health]
             due.append(
                 heartbeat(MAV_TYPE_GENERIC, MAV_AUTOPILOT_GENERIC, base_mode=0, system_status=state)
             )
@@ -89,8 +98,28 @@ class Vehicle:
             self._sys_status_us is None or now_us - self._sys_status_us >= period * 1e6
         ):
             self._sys_status_us = now_us
-            due.append(sys_status_of(self.estimator, self.intake.last_fix is not None))
+            due.append(self.sys_status())
         return due
+
+    def sys_status(self) -> Payload:
+        """SYS_STATUS as things stand."""
+        return sys_status_of(self.estimator, self.intake.last_fix is not None, bool(self.lack))
+
+    def silence(self, now_us: int) -> str:
+        """What the vehicle withholds for how long, for people; empty while its IMU samples come."""
+        if now_us - self.holder.seen_us > self.timeout_us:
+            return f"silent for {(now_us - self.holder.seen_us) * 1e-6:.0f} s"
+        if now_us - self._imu_us > self.timeout_us:
+            return f"no usable IMU for {(now_us - self._imu_us) * 1e-6:.0f} s"
+        return ""
+
+    def _silence_news(self, now_us: int) -> list[Payload]:
+        """A text when the vehicle falls silent or stops sending an IMU, and when it is back."""
+        lack = self.silence(now_us).partition(" for ")[0]
+        if lack == self.lack:
+            return []
+        self.lack = lack
+        return self._text(f"mavins: vehicle {self.sysid} {lack or 'is back'}", 4 if lack else 6)
 
     def set_origin(self, origin: Origin) -> list[Payload]:
         """Put the origin of n there; returns the announcement."""
