@@ -67,7 +67,7 @@ def _fly(report: Callable[[str], None]) -> None:
         if k % 100 == 0:
             payloads.append(heartbeat(2, 0))
         if k % 20 == 0:
-            fix = GnssFix(t_us - 20_000, _LAT, _LON, _ALT, (0.0, 0.0, 0.0), 3, 12, 0.5, 0.5, 0.1)
+            fix = GnssFix(t_us - 23_000, _LAT, _LON, _ALT, (0.0, 0.0, 0.0), 3, 12, 0.5, 0.5, 0.1)
             payloads.append(gps_raw_int(fix))
             payloads.append(
                 global_position_int(fix.t_us, _LAT, _LON, _ALT, 0.0, (0.0, 0.0, 0.0), None)

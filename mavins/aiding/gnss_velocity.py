@@ -17,7 +17,7 @@ from mavins.aiding.base import Measurement
 from mavins.nav.earth import TangentFrame, dcm_ln, gravity_n, point_n
 from mavins.nav.kernels import kernel
 from mavins.nav.layout import CANONICAL_SIZE
-from mavins.nav.so3 import cross, quat_to_dcm, skew
+from mavins.nav.so3 import cross, quat_to_dcm
 from mavins.types import FloatArray, GnssFix
 
 NAME = "gnss_velocity"
@@ -33,28 +33,42 @@ def model(
     `parameters` is C_ln at the fix (9, row-major), then g_n there (3).
     """
     m = len(z)
-    S = parameters[:9].reshape(3, 3)
     C = quat_to_dcm(x[6:10])
     lever = x[16:19]
     w = u[0:3] - x[10:13]
     swing_b = cross(w, lever)
-    SC = S @ C
-    acceleration = C @ (u[3:6] - x[13:16] + cross(w, swing_b)) + parameters[9:12]
-    d_theta = -SC @ skew(swing_b)
-    d_bias = SC @ skew(lever)
-    d_lever = SC @ skew(w)
-    h = S @ x[3:6] + SC @ swing_b
-    d_tau = S @ acceleration
+    turning_b = cross(w, swing_b)
+    v = np.empty(3)
+    acceleration = np.empty(3)
+    for i in range(3):
+        v[i] = x[3 + i]
+        acceleration[i] = parameters[9 + i]
+        for j in range(3):
+            v[i] += C[i, j] * swing_b[j]
+            acceleration[i] += C[i, j] * (u[3 + j] - x[13 + j] + turning_b[j])
     r = np.empty(m)
     H = np.zeros((m, CANONICAL_SIZE))
+    SC = np.zeros(3)
     for i in range(m):
-        r[i] = z[i] - h[i]
-        H[i, 18] = -d_tau[i]
+        r[i] = z[i]
         for j in range(3):
-            H[i, 3 + j] = S[i, j]
-            H[i, 6 + j] = d_theta[i, j]
-            H[i, 9 + j] = d_bias[i, j]
-            H[i, 15 + j] = d_lever[i, j]
+            S_ij = parameters[3 * i + j]
+            r[i] -= S_ij * v[j]
+            H[i, 18] -= S_ij * acceleration[j]
+            H[i, 3 + j] = S_ij
+            SC[j] = (
+                parameters[3 * i] * C[0, j]
+                + parameters[3 * i + 1] * C[1, j]
+                + parameters[3 * i + 2] * C[2, j]
+            )
+        # a row s of S C times [a]x is s x a
+        d_theta = cross(SC, swing_b)
+        d_bias = cross(SC, lever)
+        d_lever = cross(SC, w)
+        for j in range(3):
+            H[i, 6 + j] = -d_theta[j]
+            H[i, 9 + j] = d_bias[j]
+            H[i, 15 + j] = d_lever[j]
     return r, H
 
 
@@ -64,8 +78,12 @@ def surroundings(
 ) -> FloatArray:
     """The model's parameters (12,) at a place: C_ln, row-major, and g_n."""
     parameters = np.empty(12)
-    parameters[:9] = dcm_ln(lat, lon, C_ne).reshape(9)
-    parameters[9:] = gravity_n(point_n(lat, lon, alt, r0_e, C_ne), r0_e, C_ne)
+    C_ln = dcm_ln(lat, lon, C_ne)
+    g_n = gravity_n(point_n(lat, lon, alt, r0_e, C_ne), r0_e, C_ne)
+    for i in range(3):
+        for j in range(3):
+            parameters[3 * i + j] = C_ln[i, j]
+        parameters[9 + i] = g_n[i]
     return parameters
 
 

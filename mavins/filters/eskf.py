@@ -6,9 +6,11 @@ Theory: docs/theory/eskf.md.
 
 from __future__ import annotations
 
+import numpy as np
+
 from mavins.filters.base import FilterState, ImuNoise, RowBlock
 from mavins.nav.earth import TangentFrame
-from mavins.nav.ins import Workspace, increments_from_rates, predict, workspace
+from mavins.nav.ins import CORE_SIZE, Workspace, increments_from_rates, predict, workspace
 from mavins.nav.kernels import kernel
 from mavins.nav.layout import Layout, boxplus
 from mavins.nav.linalg import gated_update, innovation_sigma, reset_attitude_error
@@ -42,11 +44,7 @@ def step(
     h = dt / pieces
     bg0, bg1, bg2 = x[10], x[11], x[12]
     ba0, ba1, ba2 = x[13], x[14], x[15]
-    q = noise
-    if held:
-        q = noise.copy()
-        q[0] *= GAP_NOISE
-        q[1] *= GAP_NOISE
+    scale = GAP_NOISE if held else 1.0
     w0 = (u[0] - bg0, u[1] - bg1, u[2] - bg2)
     f0 = (u[3] - ba0, u[4] - ba1, u[5] - ba2)
     w1, f1 = w0, f0
@@ -64,7 +62,7 @@ def step(
                 u[5] + s * (row[5] - u[5]) - ba2,
             )
         phi, dv = increments_from_rates(w0, f0, w1, f1, h)
-        predict(x, P, phi, dv, h, q, r0_e, C_ne, w_ie_n, work)
+        predict(x, P, phi, dv, h, noise, scale, r0_e, C_ne, w_ie_n, work)
         w0, f0 = w1, f1
     for i in range(6):
         u[i] = row[i]
@@ -98,29 +96,18 @@ def walk_rows(
         step(x, P, u, imu[k], t_us[k] - t, noise, r0_e, C_ne, w_ie_n, work)
         t = t_us[k]
         if grid_us == 0 or (grid_us > 0 and t // grid_us > before // grid_us):
+            # element by element: numba takes long to compile an assignment of slices
             out_t[count] = t
-            out_x[count] = x
-            out_u[count] = u
-            out_P[count] = P[:15, :15]
+            for i in range(len(x)):
+                out_x[count, i] = x[i]
+            for i in range(len(u)):
+                out_u[count, i] = u[i]
+            for i in range(CORE_SIZE):
+                for j in range(CORE_SIZE):
+                    out_P[count, i, j] = P[i, j]
             count += 1
         before = t
     return count
-
-
-@kernel
-def advance_to(
-    x: FloatArray,
-    P: FloatArray,
-    u: FloatArray,
-    dt_us: int,
-    reading: FloatArray,
-    noise: FloatArray,
-    r0_e: FloatArray,
-    C_ne: FloatArray,
-    w_ie_n: FloatArray,
-) -> None:
-    """One step to an instant between rows (see Filter.advance)."""
-    step(x, P, u, reading, dt_us, noise, r0_e, C_ne, w_ie_n, workspace(P.shape[0]))
 
 
 @kernel
@@ -136,7 +123,8 @@ def fuse(
 ) -> float:
     """Gated update of P, feedback of the correction into x, reset of the attitude error; returns the NIS."""
     innovation_sigma(P, H, R, columns, sigma)
-    nis, d = gated_update(P, r, H, R, columns, gate)
+    d = np.empty(P.shape[0])
+    nis = gated_update(P, r, H, R, columns, gate, d)
     if nis <= gate:
         boxplus(x, d, columns)
         reset_attitude_error(P, d[6:9])
@@ -149,6 +137,7 @@ class Eskf:
     def __init__(self, noise: ImuNoise, layout: Layout | None = None) -> None:
         self.layout = layout or Layout.of()
         self._noise = noise.as_array()
+        self._no_rows = RowBlock.empty(1)
 
     def walk(
         self,
@@ -187,19 +176,9 @@ class Eskf:
     def advance(
         self, state: FilterState, frame: TangentFrame, t_us: int, reading: FloatArray
     ) -> None:
-        """Move to an instant between two rows."""
-        advance_to(
-            state.x,
-            state.P,
-            state.u,
-            t_us - state.t_us,
-            reading,
-            self._noise,
-            frame.r0_e,
-            frame.C_ne,
-            frame.w_ie_n,
-        )
-        state.t_us = t_us
+        """Move to an instant between two rows: a walk of one row that is not a sample."""
+        stamp = np.array([t_us], dtype=np.int64)
+        self.walk(state, frame, stamp, reading[np.newaxis], t_us, -1, self._no_rows)
 
     def update(
         self,

@@ -255,6 +255,7 @@ def predict(
     dv: Vector,
     dt: float,
     noise: FloatArray,
+    scale: float,
     r0_e: FloatArray,
     C_ne: FloatArray,
     w_ie_n: FloatArray,
@@ -263,15 +264,15 @@ def predict(
     """One interval, in place: x by `mechanize`, P <- Phi P Phi^T + Q, exactly symmetric.
 
     `noise` (4,) holds the root PSDs of gyro (rad/s/sqrt(Hz)), accelerometer (m/s^2/sqrt(Hz)), gyro bias walk
-    (rad/s^2/sqrt(Hz)) and accelerometer bias walk (m/s^3/sqrt(Hz)). Q holds the velocity noise with its integral
-    into the position; further cross terms are of a higher order in dt.
+    (rad/s^2/sqrt(Hz)) and accelerometer bias walk (m/s^3/sqrt(Hz)); the first two are taken `scale` times. Q holds
+    the velocity noise with its integral into the position; further cross terms are of a higher order in dt.
     """
     C, A = work[0], work[1]
     g = mechanize(x, phi, dv, dt, r0_e, C_ne, w_ie_n, C)
     transition(A, C, g, phi, dv, dt, w_ie_n)
     propagate_covariance(P, A, C, dt, work)
-    qg = noise[0] * noise[0] * dt
-    qa = noise[1] * noise[1] * dt
+    qg = scale * scale * noise[0] * noise[0] * dt
+    qa = scale * scale * noise[1] * noise[1] * dt
     qbg = noise[2] * noise[2] * dt
     qba = noise[3] * noise[3] * dt
     for i in range(3):

@@ -11,6 +11,7 @@ Theory: docs/theory/error_state.md.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final
@@ -18,7 +19,7 @@ from typing import Final
 import numpy as np
 
 from mavins.nav.kernels import kernel
-from mavins.nav.so3 import quat_conj, quat_exp, quat_log, quat_mul, quat_normalize
+from mavins.nav.so3 import exponential, product, quat_conj, quat_log, quat_mul
 from mavins.types import FloatArray, IntArray
 
 X_P: Final = slice(0, 3)
@@ -78,16 +79,27 @@ class Layout:
 @kernel
 def boxplus(x: FloatArray, d: FloatArray, columns: IntArray) -> None:
     """X <- x [+] d, in place: the errors `d` of the layout with `columns` are added to the nominal state."""
-    theta = np.zeros(3)
+    t0 = t1 = t2 = 0.0
     for i in range(len(columns)):
         c = columns[i]
         if c < 6:
             x[c] += d[i]
-        elif c < 9:
-            theta[c - 6] = d[i]
+        elif c == 6:
+            t0 = d[i]
+        elif c == 7:
+            t1 = d[i]
+        elif c == 8:
+            t2 = d[i]
         else:
             x[c + 1] += d[i]
-    x[6:10] = quat_normalize(quat_mul(x[6:10], quat_exp(theta)))
+    q = product((x[6], x[7], x[8], x[9]), exponential(t0, t1, t2))
+    n = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    if q[0] < 0.0:
+        n = -n
+    x[6] = q[0] / n
+    x[7] = q[1] / n
+    x[8] = q[2] / n
+    x[9] = q[3] / n
 
 
 @kernel

@@ -44,18 +44,22 @@ def whiten(r: FloatArray, H: FloatArray, R: FloatArray) -> bool:
 
 
 @kernel
-def scalar_update(P: FloatArray, d: FloatArray, r: float, h: FloatArray) -> float:
+def scalar_update(P: FloatArray, d: FloatArray, r: float, h: FloatArray, work: FloatArray) -> float:
     """One row with unit noise: P <- (I - k h) P (I - k h)^T + k k^T, d <- d + k (r - h d), both in place.
 
-    P (n, n), d (n,), h (n,); returns the row's normalized innovation squared, or nan where s = h P h^T + 1 is
-    not a positive number, in which case nothing is changed.
+    P (n, n), d (n,), h (n,), `work` (2, n) is scratch. Returns the row's normalized innovation squared, or nan where
+    s = h P h^T + 1 is not a positive number, in which case nothing is changed. P stays symmetric to rounding; the
+    caller makes it exactly so after its last row.
     """
     n = P.shape[0]
-    w = np.zeros(n)
+    w, k = work[0], work[1]
+    for i in range(n):
+        w[i] = 0.0
     for j in range(n):
-        if h[j] != 0.0:
+        c = h[j]
+        if c != 0.0:
             for i in range(n):
-                w[i] += P[j, i] * h[j]
+                w[i] += P[j, i] * c
     hw = 0.0
     innovation = r
     for i in range(n):
@@ -64,24 +68,29 @@ def scalar_update(P: FloatArray, d: FloatArray, r: float, h: FloatArray) -> floa
     s = hw + 1.0
     if not (s >= 1.0 and s < np.inf and math.fabs(innovation) < np.inf):
         return math.nan
-    k = w / s
-    # A = P - k w^T, then A - (A h) k^T + k k^T; A h = w - k hw. The lower triangle is computed and mirrored.
     for i in range(n):
-        b = w[i] - k[i] * hw - k[i]
-        for j in range(i + 1):
-            P[i, j] -= k[i] * w[j] + b * k[j]
+        k[i] = w[i] / s
+    # A = P - k w^T, then A - (A h) k^T + k k^T with A h = w - k hw
     for i in range(n):
-        for j in range(i):
-            P[j, i] = P[i, j]
-        d[i] += k[i] * innovation
+        k_i = k[i]
+        b_i = w[i] - k_i * hw - k_i
+        for j in range(n):
+            P[i, j] -= k_i * w[j] + b_i * k[j]
+        d[i] += k_i * innovation
     return innovation * innovation / s
 
 
 @kernel
 def gated_update(
-    P: FloatArray, r: FloatArray, H: FloatArray, R: FloatArray, columns: IntArray, gate: float
-) -> tuple[float, FloatArray]:
-    """Update P (n, n) with m rows if their joint NIS is at most `gate`; returns (NIS, error correction d (n,)).
+    P: FloatArray,
+    r: FloatArray,
+    H: FloatArray,
+    R: FloatArray,
+    columns: IntArray,
+    gate: float,
+    d: FloatArray,
+) -> float:
+    """Update P (n, n) with m rows if their joint NIS is at most `gate`; returns the NIS, d (n,) <- the correction.
 
     r (m,) is the residual z - h(x), H (m, 19) its Jacobian over the canonical errors, of which the layout's
     `columns` are taken, R (m, m) the noise covariance. A NIS above the gate, or nan where R, S or the updated P is not
@@ -89,24 +98,34 @@ def gated_update(
     """
     m, n = len(r), P.shape[0]
     rows = np.empty((m, n))
+    res = np.empty(m)
+    updated = np.empty((n, n))
+    work = np.empty((2, n))
     for i in range(m):
+        res[i] = r[i]
         for j in range(n):
             rows[i, j] = H[i, columns[j]]
-    res = r.copy()
-    d = np.zeros(n)
     if not whiten(res, rows, R):
-        return math.nan, d
-    updated = P.copy()
+        return math.nan
+    for i in range(n):
+        d[i] = 0.0
+        for j in range(n):
+            updated[i, j] = P[i, j]
     nis = 0.0
     for i in range(m):
-        nis += scalar_update(updated, d, res[i], rows[i])
+        nis += scalar_update(updated, d, res[i], rows[i], work)
     if not nis <= gate:
-        return nis, d
+        return nis
     for i in range(n):
         if not (updated[i, i] > 0.0 and math.fabs(d[i]) < np.inf):
-            return math.nan, d
-    P[:, :] = updated
-    return nis, d
+            return math.nan
+    for i in range(n):
+        P[i, i] = updated[i, i]
+        for j in range(i):
+            mean = 0.5 * (updated[i, j] + updated[j, i])
+            P[i, j] = mean
+            P[j, i] = mean
+    return nis
 
 
 @kernel
