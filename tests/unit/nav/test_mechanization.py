@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -86,7 +88,7 @@ def test_point_samples_err_by_the_square_of_the_interval(trajectory: Trajectory)
         worst.append(errors_at_end(trajectory, x, duration))
         p, v, turn = worst[-1]
         print(f"\npoint samples at {1 / dt:.0f} Hz, 100 s: {p:.2e} m, {v:.2e} m/s, {turn:.2e} rad")
-    for coarse, fine in zip(worst[:-1], worst[1:], strict=True):
+    for coarse, fine in itertools.pairwise(worst):
         for a, b in zip(coarse[:2], fine[:2], strict=True):
             assert 3.0 < a / b < 6.0
 
