@@ -17,7 +17,6 @@ from mavins.mavlink.codec import (
     command_ack,
     global_position_from,
     gps_global_origin,
-    home_position,
     local_position_ned,
     odometry,
 )
@@ -85,7 +84,7 @@ def _requested(msgid: int, vehicle: Vehicle) -> Payload | None:
         33: global_position_from(solution, home.position.alt),
         49: gps_global_origin(estimator.frame.origin, solution.t_us),
         230: estimator_status_of(estimator, solution),
-        242: home_position(home.position, home.p_n, solution.t_us),
+        242: home.message(solution.t_us),
         331: odometry(solution, ESTIMATOR_TYPE_GPS_INS, quality_of(solution)),
     }
     return made[msgid]

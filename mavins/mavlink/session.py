@@ -186,6 +186,10 @@ class Session:
                 peer.seen_us = now_us
         elif len(self.peers) < self._settings.max_peers:
             self.peers[address] = Peer(now_us)
+            for vehicle in self.vehicles.values():
+                for payload in vehicle.welcome():
+                    self._send(vehicle, payload, address)
+                    self._record(vehicle, payload, now_us)
         else:
             self.dropped["more peers than max_peers"] += 1
 

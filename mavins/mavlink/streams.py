@@ -45,10 +45,22 @@ ESTIMATOR_TYPE_GPS_INS: Final = 5
 
 @dataclass(frozen=True, slots=True)
 class Home:
-    """Where the first estimate was: geodetic, and in n."""
+    """Where the first estimate was: geodetic, in n, and level ground with the heading there as a quaternion."""
 
     position: Origin
     p_n: FloatArray
+    q: tuple[float, float, float, float]
+
+    @classmethod
+    def at(cls, solution: NavSolution) -> Home:
+        """Home is here."""
+        half = 0.5 * solution.yaw
+        place = Origin(solution.lat, solution.lon, solution.alt)
+        return cls(place, solution.p_n.copy(), (math.cos(half), 0.0, 0.0, math.sin(half)))
+
+    def message(self, t_us: int) -> Payload:
+        """HOME_POSITION."""
+        return home_position(self.position, self.p_n, t_us, self.q)
 
 
 def quality_of(solution: NavSolution) -> int:
@@ -152,5 +164,5 @@ def _make(
     if name == "global_position_int":
         return global_position_from(solution, home.position.alt)
     if name == "home_position":
-        return home_position(home.position, home.p_n, solution.t_us)
+        return home.message(solution.t_us)
     return None

@@ -101,6 +101,13 @@ class Vehicle:
             due.append(self.sys_status())
         return due
 
+    def welcome(self) -> list[Payload]:
+        """What a new peer is told at once, because it comes seldom otherwise."""
+        home, t_us = self.home, self.estimator.t_us
+        if home is None or t_us is None or not self.estimator.running:
+            return []
+        return [home.message(t_us)]
+
     def sys_status(self) -> Payload:
         """SYS_STATUS as things stand."""
         return sys_status_of(self.estimator, self.intake.last_fix is not None, bool(self.lack))
@@ -133,8 +140,7 @@ class Vehicle:
         if self.home is None and estimator.running:
             solution = estimator.solution()
             if solution is not None:
-                place = Origin(solution.lat, solution.lon, solution.alt)
-                self.home = Home(place, solution.p_n.copy())
+                self.home = Home.at(solution)
         before_health, before_resets = self._said
         health, resets = estimator.health, estimator.reset_counter
         if (health, resets) == self._said:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -218,9 +219,11 @@ def gps_global_origin(origin: Origin, t_us: int) -> Payload:
     )
 
 
-def home_position(home: Origin, p_n: FloatArray, t_us: int) -> Payload:
-    """HOME_POSITION: home (rad, rad, m above mean sea level) and where it lies in n; no ground
-    slope is known.
+def home_position(
+    home: Origin, p_n: FloatArray, t_us: int, q: Sequence[float] = (math.nan,) * 4
+) -> Payload:
+    """HOME_POSITION: home (rad, rad, m above mean sea level), where it lies in n, and `q`, the
+    ground's slope and the heading there; NaN where they are not known.
     """
     x, y, z = p_n.tolist()
     return payload(
@@ -231,7 +234,7 @@ def home_position(home: Origin, p_n: FloatArray, t_us: int) -> Payload:
         x=x,
         y=y,
         z=z,
-        q=(math.nan,) * 4,
+        q=q,
         time_usec=t_us,
     )
 

@@ -1,0 +1,176 @@
+"""What the tests of the whole service share: simulated streams, and a service without sockets."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterable, Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import all as dialect
+
+from mavins.config import Config
+from mavins.mavlink.session import Session
+from mavins.replay import ReplayOptions, replay
+from mavins.service import Service
+from sitl import scenario
+from sitl.emitter import packets
+from sitl.simulation import START_US, Simulation
+
+UNIX_US = 1_790_000_000_000_000
+VEHICLE = (0, "127.0.0.1", 40_001)
+PEER = (0, "127.0.0.1", 40_002)
+
+Arrival = tuple[int, tuple[int, str, int], bytes]
+"""Reception stamp in us, address, datagram."""
+
+
+@cache
+def flight(name: str, seconds: float, seed: int, sysid: int) -> tuple[tuple[int, bytes], ...]:
+    """The first `seconds` of a scenario as (us since boot, packet)."""
+    stream = packets(Simulation(scenario.load(name), seed), sysid)
+    end_us = START_US + seconds * 1e6
+    return tuple(itertools.takewhile(lambda item: item[0] < end_us, stream))
+
+
+def arrivals(
+    seconds: float,
+    name: str = "quad_mission",
+    seed: int = 0,
+    sysid: int = 1,
+    address: tuple[int, str, int] = VEHICLE,
+) -> list[Arrival]:
+    """A flight that is received without delay, one packet per datagram."""
+    return [
+        (UNIX_US + t_us, address, packet) for t_us, packet in flight(name, seconds, seed, sysid)
+    ]
+
+
+_PARSER = dialect.MAVLink(None)
+
+
+def decoded(data: bytes) -> Any:
+    """A packet through pymavlink."""
+    return _PARSER.decode(bytearray(data))
+
+
+def numbers(message: Any) -> Iterator[float]:
+    """Every floating-point number of a message."""
+    for name in message.get_fieldnames():
+        value = getattr(message, name)
+        for item in value if isinstance(value, list) else [value]:
+            if isinstance(item, float):
+                yield item
+
+
+class Rig:
+    """A service whose datagrams come from a list and whose clock is their stamps."""
+
+    def __init__(self, folder: Path, config: Config | None = None) -> None:
+        self.out = folder / "live"
+        self.log = folder / "live.tlog"
+        self.config = config or Config()
+        self.service = Service(self.config, [], (), self.out, self.log)
+        self.sent: list[tuple[int, Any, Any]] = []
+        """(stamp in us, address, message) of all that went out."""
+        self._next_tick = 0
+        self._next_flush = 0
+        self.now_us = UNIX_US
+
+    @property
+    def session(self) -> Session:
+        return self.service.session
+
+    def vehicle(self, sysid: int = 1) -> Any:
+        return self.session.vehicles[sysid]
+
+    def receive(self, now_us: int, address: Any, data: bytes) -> None:
+        """One datagram, and the ticks that were due before it."""
+        self.wait(now_us)
+        self.session.receive(data, address, now_us)
+        self._collect()
+
+    def wait(self, until_us: int) -> None:
+        """Nothing comes until then."""
+        if not self._next_tick:
+            self._next_tick = self._next_flush = until_us
+        while self._next_tick <= until_us:
+            self.now_us = self._next_tick
+            self.session.tick(self._next_tick)
+            self._next_tick += 50_000
+            self._collect()
+            if self._next_flush <= self.now_us:
+                self._next_flush += 1_000_000
+                self.service._flush()
+        self.now_us = max(self.now_us, until_us)
+
+    def run(self, stream: Iterable[Arrival]) -> Rig:
+        """All datagrams of a stream, in the order of their stamps."""
+        for now_us, address, data in sorted(stream, key=lambda item: item[0]):
+            self.receive(now_us, address, data)
+        return self
+
+    def _collect(self) -> None:
+        for data, address in self.session.datagrams():
+            message = decoded(data)
+            assert all(map(math.isfinite, numbers(message))), message
+            self.sent.append((self.now_us, address, message))
+
+    def messages(self, kind: str, address: Any = None, sysid: int | None = None) -> list[Any]:
+        """All messages of one kind that went to an address (None: any)."""
+        return [
+            message
+            for _, to, message in self.sent
+            if message.get_type() == kind
+            and (address is None or to == address)
+            and (sysid is None or message.get_srcSystem() == sysid)
+        ]
+
+    def texts(self, address: Any = VEHICLE) -> list[str]:
+        """All STATUSTEXTs, put together again."""
+        texts: list[str] = []
+        for message in self.messages("STATUSTEXT", address):
+            if message.chunk_seq:
+                texts[-1] += message.text
+            else:
+                texts.append(message.text)
+        return texts
+
+    def close(self) -> None:
+        self.service.close()
+
+    def folder(self, sysid: int | None = None) -> Path:
+        base = self.out if sysid is None else self.out / f"vehicle_{sysid}"
+        return base / "eskf"
+
+    def replayed(self, sysid: int = 1) -> Path:
+        """Close, replay what was recorded, and return the result folder of the filter."""
+        self.close()
+        out = self.log.parent / f"replayed_{sysid}"
+        replay(self.log, out, self.config, ReplayOptions(sysid=sysid))
+        return out / "eskf"
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Iterator[Rig]:
+    made = Rig(tmp_path)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def make_rig(tmp_path: Path) -> Callable[..., Rig]:
+    def make(config: Config | None = None, name: str = "rig") -> Rig:
+        folder = tmp_path / name
+        folder.mkdir()
+        return Rig(folder, config)
+
+    return make
+
+
+@pytest.fixture
+def fly() -> Callable[..., list[Arrival]]:
+    return arrivals
