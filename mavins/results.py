@@ -30,6 +30,9 @@ INNOVATIONS: Final = (
     "innovation_0,innovation_1,innovation_2,sigma_0,sigma_1,sigma_2"
 )
 _ROW: Final = "%d,%.10f,%.10f" + ",%.9g" * (WIDTH - 2) + "\n"
+_HEAD: Final = "%d,%d,%s,%s,%d,%s,%.9g"
+_DECISION: Final = [_HEAD + 2 * (",%.9g" * m + "," * (3 - m)) + "\n" for m in range(4)]
+"""The line of a decision on so many rows; what is not known stays empty."""
 _DEGREES: Final = 180.0 / math.pi
 
 
@@ -57,20 +60,18 @@ class ResultWriter:
         if self._keep and len(t_us):
             self._kept.append((t_us, rows.copy()))
         rows[:, :2] *= _DEGREES
-        write = self._estimates.write
-        for t, row in zip(t_us.tolist(), rows.tolist(), strict=True):
-            write(_ROW % (t, *row))
+        pairs = zip(t_us.tolist(), rows.tolist(), strict=True)
+        self._estimates.write("".join([_ROW % (t, *row) for t, row in pairs]))
 
     def write_decision(self, event: Event) -> None:
         """Write the final decision on a measurement."""
         m = event.measurement
         if self.bounds_us is not None and not self.bounds_us[0] <= m.t_us <= self.bounds_us[1]:
             return
-        numbers = [event.nis, *_three(event.innovation), *_three(event.sigma)]
-        text = ",".join("" if math.isnan(v) else f"{v:.9g}" for v in numbers)
-        self._innovations.write(
-            f"{m.t_us},{m.stamp_us},{m.aiding},{m.source},{int(event.accepted)},{event.reason},{text}\n"
-        )
+        r, sigma = event.innovation.tolist(), event.sigma.tolist()
+        head = (m.t_us, m.stamp_us, m.aiding, m.source, event.accepted, event.reason, event.nis)
+        line = _DECISION[len(r)] % (*head, *r, *sigma)
+        self._innovations.write(line.replace("nan", ""))
 
     def table(self) -> tuple[IntArray, FloatArray]:
         """All rows written so far as (t_us (N,), rows (N, 31)), where they were kept."""
@@ -99,11 +100,6 @@ class ResultWriter:
         trace: TracebackType | None,
     ) -> None:
         self.close()
-
-
-def _three(values: FloatArray) -> list[float]:
-    padded: list[float] = values.tolist()[:3]
-    return padded + [math.nan] * (3 - len(padded))
 
 
 def _open(path: Path, header: str) -> IO[str]:

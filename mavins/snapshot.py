@@ -32,6 +32,7 @@ def estimate_status(solution: NavSolution) -> EstimateStatus:
 
 def aiding_status(statistics: AidingStatistics) -> AidingStatus:
     """Counts and innovation statistics of one aiding."""
+    statistics.fold()
     if not statistics.accepted:
         return AidingStatus(0, dict(statistics.rejected))
     mean = statistics.nis_sum / statistics.accepted

@@ -330,7 +330,9 @@ class Estimator:
 
     def _tick(self, now_us: int) -> None:
         """What is looked at a few times a second."""
-        self._aligner.standing.tick(self._buffer, now_us)
+        standing = self._aligner.standing
+        if self._state is None or not standing.moved:
+            standing.tick(self._buffer, now_us)
         if self._state is None:
             self._try_to_align(now_us)
         else:
