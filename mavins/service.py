@@ -45,6 +45,7 @@ class Watch:
     writer: ResultWriter | None
     folder: Path | None
     counts_before: Counter[str]
+    counted_at: float
 
 
 class Service:
@@ -133,7 +134,7 @@ class Service:
             folder = base / self._config.filter
             writer = ResultWriter(folder)
             write_text(folder / "config.yaml", to_yaml(self._config))
-        self._watches[sysid] = Watch(LiveTruth(), writer, folder, Counter())
+        self._watches[sysid] = Watch(LiveTruth(), writer, folder, Counter(), time.monotonic())
         if writer is None:
             return Estimator(self._config, self._config.filter)
         outputs = Outputs(grid_us(ROWS_PER_SECOND), writer.write_rows, writer.write_decision)
@@ -156,14 +157,15 @@ class Service:
             packets_in=self.session.packets_in,
             packets_out=self.session.packets_out,
             dropped={k: v for k, v in self.session.dropped.items() if v},
-            vehicles=tuple(self._vehicle_status(v) for v in self.session.vehicles.values()),
+            vehicles=tuple(self._vehicle_status(v, now) for v in self.session.vehicles.values()),
         )
 
-    def _vehicle_status(self, vehicle: Vehicle) -> VehicleStatus:
+    def _vehicle_status(self, vehicle: Vehicle, now: float) -> VehicleStatus:
         watch = self._watches[vehicle.sysid]
         counts = vehicle.intake.counts
-        rates = {name: (n - watch.counts_before[name]) / STATUS_S for name, n in counts.items()}
-        watch.counts_before = Counter(counts)
+        elapsed = max(now - watch.counted_at, 1e-3)
+        rates = {name: (n - watch.counts_before[name]) / elapsed for name, n in counts.items()}
+        watch.counts_before, watch.counted_at = Counter(counts), now
         estimator = vehicle.estimator
         solution = estimator.solution()
         return VehicleStatus(

@@ -28,6 +28,7 @@ from mavins.nav.earth import TangentFrame
 from mavins.nav.kernels import CACHE, is_cached, mark_cached
 from mavins.types import GnssFix, ImuSample, TruthSample
 
+_STEP_US = 50_000
 _LAT, _LON, _ALT = math.radians(47.0), math.radians(8.0), 400.0
 
 
@@ -52,27 +53,27 @@ def _describe(block: RowBlock, frame_n: TangentFrame) -> None:
 
 
 def _fly(report: Callable[[str], None]) -> None:
-    """Three seconds of packets: 100 Hz IMU, 5 Hz late fixes, 10 Hz heading, truth; with a rewind and a late sample."""
+    """Four seconds of packets: 20 Hz IMU, 5 Hz late fixes, heading, truth; with a rewind and a late sample."""
     config = Config()
     estimator = Estimator(config, config.filter, Outputs(20_000, _describe))
     session = Session(config.mavlink, config.streams, config.sources, lambda sysid: estimator)
     truth = LiveTruth()
     session.add_peer("warm-up")
     stage = ""
-    for k in range(300):
-        t_us = 1_000_000 + 10_000 * k
-        payloads = [highres_imu(_sample(t_us))] if k % 97 else []
-        if k % 97 == 1 and k > 1:
-            payloads.append(highres_imu(_sample(t_us - 10_000)))
-        if k % 100 == 0:
-            payloads.append(heartbeat(2, 0))
+    for k in range(80):
+        t_us = 1_000_000 + _STEP_US * k
+        payloads = [highres_imu(_sample(t_us))] if k % 37 else []
+        if k % 37 == 1 and k > 1:
+            payloads.append(highres_imu(_sample(t_us - _STEP_US)))
         if k % 20 == 0:
+            payloads.append(heartbeat(2, 0))
+        if k % 4 == 0:
             fix = GnssFix(t_us - 23_000, _LAT, _LON, _ALT, (0.0, 0.0, 0.0), 3, 12, 0.5, 0.5, 0.1)
             payloads.append(gps_raw_int(fix))
             payloads.append(
                 global_position_int(fix.t_us, _LAT, _LON, _ALT, 0.0, (0.0, 0.0, 0.0), None)
             )
-        if k % 10 == 0:
+        if k % 2 == 0:
             payloads.append(attitude(t_us, 0.0, 0.0, 0.3, (0.0, 0.0, 0.0)))
             sample = TruthSample(t_us, _LAT, _LON, _ALT, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
             payloads.append(hil_state_quaternion(sample, (0.0, 0.0, -9.8), (0.0, 0.0, 0.0)))

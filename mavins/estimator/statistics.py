@@ -12,7 +12,6 @@ import numpy as np
 from mavins.estimator.fusion import Event
 from mavins.types import FloatArray, IntArray
 
-
 _FOLD_AT = 1000
 
 
