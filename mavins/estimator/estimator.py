@@ -195,9 +195,8 @@ class Estimator:
         self._aligner.see_heading(fix, t_us)
         if self._state is None or self.frame is None:
             return
-        q_ln = heading.turn_to_level(self._state.x[:3], self.frame.r0_e, self.frame.C_ne)
         sigma = self.heading_sigma(fix)
-        self._take(heading.measure(fix, t_us, q_ln, sigma, self.settings.heading.gate))
+        self._take(heading.measure(fix, t_us, self.frame, sigma, self.settings.heading.gate))
 
     def heading_sigma(self, fix: HeadingFix) -> float:
         """The 1-sigma noise (rad) taken for a heading."""
@@ -253,6 +252,9 @@ class Estimator:
         oldest = max(self._snapshots[0].state.t_us, self._buffer.newest_us - self._buffer_us)
         if measurement.t_us <= oldest:
             event.reason = "too old"
+        elif measurement.t_us > self._buffer.newest_us + self._buffer_us:
+            event.reason = "too far ahead"
+        if event.reason:
             self._decide(event)
             return
         insort(self._events, event, key=lambda e: e.order)
