@@ -161,6 +161,7 @@ def summarize(estimator: Estimator, intake: Intake) -> dict[str, Any]:
         if intake.imu is None
         else {"message": IMU_KINDS[intake.imu[0]], "id": intake.imu[1]},
         "messages": dict(intake.counts),
+        "rates_hz": intake.rates(),
         "dropped": {k: v for k, v in (intake.dropped + estimator.dropped).items() if v},
         "imu_samples": estimator.imu_rows,
         "aiding": {name: s.summary() for name, s in estimator.statistics.items()},
