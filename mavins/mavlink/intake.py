@@ -117,7 +117,7 @@ class Intake:
         self.last_fix: GnssFix | None = None
         self._settings = settings
         self._first_imu_us: int | None = None
-        self._first_us: int | None = None
+        self._newest_imu_us = 0
         self._quality: GpsRaw | None = None
         self._quality_us = 0
         self._vertical: tuple[int, float] | None = None
@@ -163,11 +163,10 @@ class Intake:
             self._place(samples, slice(taken, len(samples.at)))
 
     def rates(self) -> dict[str, float]:
-        """Messages per second of the time that the IMU's stamps have covered, reboots aside."""
-        newest = self.clock.newest_us
-        if self._first_us is None or newest is None or newest <= self._first_us:
+        """Messages per second of the time from the first to the newest IMU sample, by reception."""
+        if self._first_imu_us is None or self._newest_imu_us <= self._first_imu_us:
             return {}
-        seconds = (newest - self._first_us) * 1e-6
+        seconds = (self._newest_imu_us - self._first_imu_us) * 1e-6
         return {name: n / seconds for name, n in self.counts.items()}
 
     def _is_idle(self, msgid: int, stamp_us: int) -> bool:
@@ -241,8 +240,7 @@ class Intake:
         accel_b, gyro_b = samples.accel_b[part], samples.gyro_b[part]
         wraps = IMU_KINDS[self.imu[0]] in WRAPPING_IMU_KINDS
         times = self.clock.map_imu(samples.stamp_us[part], received_us, wraps)
-        if self._first_us is None:
-            self._first_us = int(times.t_us[0])
+        self._newest_imu_us = int(received_us[-1])
         if times.keep.all() and not times.events:
             self.estimator.feed_imu(ImuTable(times.t_us, accel_b, gyro_b))
         else:
@@ -269,7 +267,6 @@ class Intake:
 
     def _forget(self) -> None:
         """A reboot voids every stamp that was kept."""
-        self._first_us = None
         self._quality = None
         self._vertical = None
         self._fix_stamp = None
