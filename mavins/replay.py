@@ -42,15 +42,18 @@ class ReplayOptions:
     sysid: int | None = None
 
 
-def vehicle_of(frames: Frames) -> int:
-    """The first sysid that sends an IMU."""
-    at = np.flatnonzero(np.isin(frames.msgid, list(IMU_KINDS)))
-    if not len(at):
+def vehicle_of(frames: Frames, wanted: int | None = None) -> int:
+    """The `wanted` sysid if it sends an IMU, or the first that does; LogFormatError if there is none."""
+    senders = frames.sysid[np.isin(frames.msgid, list(IMU_KINDS))]
+    if not len(senders):
         raise LogFormatError(
-            "the log has no IMU messages (HIGHRES_IMU, SCALED_IMU, RAW_IMU): nothing to estimate from; "
-            "see what it holds with: mavins info LOG"
+            "the log has no IMU messages (HIGHRES_IMU, SCALED_IMU, RAW_IMU): "
+            "nothing to estimate from; see what it holds with: mavins info LOG"
         )
-    return int(frames.sysid[at[0]])
+    if wanted is not None and wanted not in senders:
+        have = ", ".join(str(sysid) for sysid in np.unique(senders).tolist())
+        raise LogFormatError(f"vehicle {wanted} sends no IMU messages in this log; {have} does")
+    return int(senders[0]) if wanted is None else wanted
 
 
 def grid_us(rate: float) -> int:
@@ -71,7 +74,7 @@ def replay(
     """
     wall, cpu = time.perf_counter(), time.process_time()
     frames = read_tlog(log)
-    sysid = vehicle_of(frames) if options.sysid is None else options.sysid
+    sysid = vehicle_of(frames, options.sysid)
     bounds = (
         round((options.start or 0.0) * 1e6),
         2**62 if options.end is None else round(options.end * 1e6),

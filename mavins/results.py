@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import math
+import tempfile
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Final
@@ -37,7 +38,7 @@ _DEGREES: Final = 180.0 / math.pi
 
 
 class ResultWriter:
-    """Writes rows and decisions as they come; `watch` sees each block of described rows too (t_us (N,), (N, 31))."""
+    """Writes rows and decisions as they come; with `keep`, `table` gives the rows back."""
 
     def __init__(self, folder: Path, keep: bool = False) -> None:
         self._estimates = _open(folder / "estimates.csv", ESTIMATES)
@@ -112,6 +113,18 @@ def _open(path: Path, header: str) -> IO[str]:
         ) from error
     file.write(header + "\n")
     return file
+
+
+def check_folder(folder: Path) -> None:
+    """Make the folder; OutputError where no file can be written into it."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise OutputError(
+            f"cannot write into {folder}: {error.strerror}; choose another folder"
+        ) from error
 
 
 def write_text(path: Path, text: str) -> None:

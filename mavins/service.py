@@ -18,7 +18,7 @@ from mavins.logs.tlog import TlogWriter
 from mavins.mavlink.session import Session
 from mavins.mavlink.vehicle import Vehicle
 from mavins.replay import grid_us, summarize
-from mavins.results import ResultWriter, write_json, write_text
+from mavins.results import ResultWriter, check_folder, write_json, write_text
 from mavins.snapshot import aiding_status, estimate_status
 from mavins.status import StatusSnapshot, VehicleStatus
 from mavins.transports.base import Transport
@@ -35,6 +35,14 @@ Address = tuple[int, str, int]
 def is_local(address: Hashable) -> bool:
     """True for an address on this host."""
     return isinstance(address, tuple) and str(address[1]).startswith("127.")
+
+
+def check_outputs(config: Config, out: Path | None, record: Path | None) -> None:
+    """OutputError where results or a recording could not be written, long before there are any."""
+    if out is not None:
+        check_folder(out / config.filter)
+    if record is not None:
+        check_folder(record.parent)
 
 
 @dataclass(slots=True)

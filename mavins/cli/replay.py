@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import math
 from pathlib import Path
 from typing import Any
 
 from mavins.cli.progress import progress_bar
+from mavins.errors import ConfigError
 
 SUMMARY = """\
 Run a log through the same estimator as the live service. The whole log is filtered; --start and
@@ -46,6 +48,8 @@ def run(args: argparse.Namespace) -> int:
     from mavins.config import load
     from mavins.replay import ReplayOptions, replay
 
+    _check_bounds(args.start, args.end, args.rate)
+
     overrides = {} if args.filter is None else {"filter": args.filter}
     config = load(args.config, overrides)
     options = ReplayOptions(args.start, args.end, args.rate, args.sysid)
@@ -54,6 +58,14 @@ def run(args: argparse.Namespace) -> int:
     if args.verbosity >= 0:
         print("\n".join(lines_of(summary, args.out)))
     return 0
+
+
+def _check_bounds(start: float | None, end: float | None, rate: float) -> None:
+    for name, value in (("--start", start), ("--end", end), ("--rate", rate)):
+        if value is not None and not (0.0 <= value < math.inf):
+            raise ConfigError(f"{name} {value:g} makes no sense: give a number of 0 or above")
+    if start is not None and end is not None and start >= end:
+        raise ConfigError(f"--start {start:g} is not before --end {end:g}")
 
 
 def lines_of(summary: dict[str, Any], out: Path) -> list[str]:

@@ -6,6 +6,7 @@ import argparse
 import signal
 import sys
 from pathlib import Path
+from typing import Final
 
 SUMMARY = """\
 Listen to a vehicle's sensor messages, estimate its position, velocity and attitude, and send them
@@ -17,6 +18,8 @@ examples:
   mavins serve --udp 14540 --gcs 127.0.0.1:14550      a ground station here holds 14550 itself
   mavins serve --udp 14550 --record flight.tlog --out result
   mavins serve --udp 127.0.0.1:14551 --status json"""
+
+STOP_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -64,35 +67,33 @@ def run(args: argparse.Namespace) -> int:
     config = load(args.config, {} if args.filter is None else {"filter": args.filter})
 
     from mavins.cli.status import make_renderer
-    from mavins.service import Service
+    from mavins.service import Service, check_outputs
     from mavins.transports.udp import UdpTransport, resolve
     from mavins.warmup import compile_all
 
+    # what cannot work is said before the kernels are compiled, which may take half a minute
+    check_outputs(config, args.out, args.record)
+    gcs = [resolve(*address) for address in gcs]
+    for host, port in addresses:
+        UdpTransport.bind(host, port).close()
     quiet = args.verbosity < 0
     compile_all(lambda line: None if quiet else print(line, file=sys.stderr, flush=True))
-    links = []
+    links: list[UdpTransport] = []
+    asked: list[int] = []
+    renderer = make_renderer("off" if quiet and args.status == "auto" else args.status)
+    before = {n: signal.signal(n, lambda n, _: asked.append(n)) for n in STOP_SIGNALS}
     try:
         for host, port in addresses:
             links.append(UdpTransport.bind(host, port))
-        gcs = [resolve(*address) for address in gcs]
-        renderer = make_renderer("off" if quiet and args.status == "auto" else args.status)
         service = Service(config, links, gcs, args.out, args.record, renderer.update)
-    except BaseException:
         for link in links:
-            link.close()
-        raise
-    for link in links:
-        host, port = link.address
-        print(f"listening udp {host}:{port}", flush=True)
-
-    asked: list[int] = []
-    before = [
-        signal.signal(n, lambda n, _: asked.append(n)) for n in (signal.SIGINT, signal.SIGTERM)
-    ]
-    try:
+            host, port = link.address
+            print(f"listening udp {host}:{port}", flush=True)
         service.run(lambda: bool(asked))
     finally:
         renderer.close()
-        signal.signal(signal.SIGINT, before[0])
-        signal.signal(signal.SIGTERM, before[1])
+        for link in links:
+            link.close()
+        for number, handler in before.items():
+            signal.signal(number, handler)
     return 0

@@ -1,0 +1,286 @@
+"""The service and the simulator as processes of their own over real UDP, watched by a peer."""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import json
+import math
+import re
+import select
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import all as dialect
+
+from mavins.cli.main import main
+from mavins.logs.tlog import read_tlog
+
+pytestmark = [pytest.mark.slow, pytest.mark.jit]
+
+RATES = {
+    "HEARTBEAT": 1.0,
+    "LOCAL_POSITION_NED": 50.0,
+    "ATTITUDE": 50.0,
+    "ATTITUDE_QUATERNION": 50.0,
+    "GLOBAL_POSITION_INT": 10.0,
+    "ODOMETRY": 25.0,
+    "HIGHRES_IMU": 10.0,
+    "GPS_RAW_INT": 5.0,
+    "SYS_STATUS": 1.0,
+    "ESTIMATOR_STATUS": 2.0,
+    "GPS_GLOBAL_ORIGIN": 1.0,
+    "HOME_POSITION": 0.5,
+}
+ESTIMATES = set(RATES) - {"HEARTBEAT", "SYS_STATUS"}
+START_LIMIT = 120.0
+"""A cold compilation of the kernels."""
+
+
+def command(*words: str) -> list[str]:
+    return [sys.executable, "-m", "mavins", *words]
+
+
+class Serve:
+    """`mavins serve` in a process; `port` is the one it said it listens on."""
+
+    def __init__(self, *options: str) -> None:
+        self.process = subprocess.Popen(
+            command("serve", "--udp", "127.0.0.1:0", *options),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        self.lines: list[str] = []
+        self._listening = threading.Event()
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+        if not self._listening.wait(START_LIMIT):
+            self.process.kill()
+            raise AssertionError(f"serve never listened: {self.process.communicate()}")
+        found = re.fullmatch(r"listening udp 127\.0\.0\.1:(\d+)", self.lines[0])
+        assert found, self.lines
+        self.port = int(found[1])
+
+    def _read(self) -> None:
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            self.lines.append(line.rstrip("\n"))
+            self._listening.set()
+        self._listening.set()
+
+    def stop(self, number: int = signal.SIGINT) -> str:
+        """End it, check the exit status, return what it said on stderr."""
+        assert self.process.poll() is None, self.lines
+        self.process.send_signal(number)
+        assert self.process.stderr is not None
+        said = self.process.stderr.read()
+        assert self.process.wait(20.0) == 0, said
+        self._reader.join(5.0)
+        return said
+
+
+@pytest.fixture
+def serve() -> Iterator[Callable[..., Serve]]:
+    started: list[Serve] = []
+
+    def start(*options: str) -> Serve:
+        started.append(Serve(*options))
+        return started[-1]
+
+    yield start
+    for one in started:
+        if one.process.poll() is None:
+            one.process.kill()
+        one.process.wait()
+
+
+@pytest.fixture
+def fly_process() -> Iterator[Callable[..., subprocess.Popen[bytes]]]:
+    started: list[subprocess.Popen[bytes]] = []
+
+    def start(port: int, duration: float, *options: str) -> subprocess.Popen[bytes]:
+        words = ("-q", "sitl", "--udp", f"127.0.0.1:{port}", "--duration", str(duration))
+        started.append(subprocess.Popen(command(*words, *options)))
+        return started[-1]
+
+    yield start
+    for one in started:
+        if one.poll() is None:
+            one.kill()
+        one.wait()
+
+
+@dataclass
+class Peer:
+    """A ground station: sends a heartbeat when told, keeps all that comes back."""
+
+    sock: socket.socket
+    seen: list[tuple[float, Any]] = field(default_factory=list)
+
+    def hello(self, port: int) -> None:
+        link = dialect.MAVLink(None, 255, 190)
+        message = dialect.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)
+        self.sock.sendto(message.pack(link), ("127.0.0.1", port))
+
+    def listen(self, until: Callable[[], bool], limit: float) -> None:
+        parser = dialect.MAVLink(None)
+        end = time.monotonic() + limit
+        while not until() and time.monotonic() < end:
+            if not select.select([self.sock], [], [], 0.1)[0]:
+                continue
+            data, _ = self.sock.recvfrom(65535)
+            now = time.monotonic()
+            messages = parser.parse_buffer(bytearray(data))
+            assert messages, data
+            self.seen += [(now, message) for message in messages]
+
+    def kinds(self) -> dict[str, list[tuple[float, Any]]]:
+        kinds: dict[str, list[tuple[float, Any]]] = {}
+        for now, message in self.seen:
+            kinds.setdefault(message.get_type(), []).append((now, message))
+        return kinds
+
+
+@pytest.fixture
+def peer() -> Iterator[Peer]:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+        sock.bind(("127.0.0.1", 0))
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4 << 20)
+        yield Peer(sock)
+
+
+def finite(message: Any) -> bool:
+    for name in message.get_fieldnames():
+        value = getattr(message, name)
+        for item in value if isinstance(value, list) else [value]:
+            if isinstance(item, float) and not math.isfinite(item):
+                return False
+    return True
+
+
+def test_a_flight_over_udp(
+    serve: Callable[..., Serve],
+    fly_process: Callable[..., subprocess.Popen[bytes]],
+    peer: Peer,
+    tmp_path: Path,
+) -> None:
+    out, log = tmp_path / "out", tmp_path / "flight.tlog"
+    service = serve("--out", str(out), "--record", str(log), "--status", "json")
+    peer.hello(service.port)
+    simulator = fly_process(service.port, 15.0)
+    peer.listen(lambda: simulator.poll() is not None, 60.0)
+    assert simulator.wait(10.0) == 0
+    service.stop(signal.SIGINT)
+
+    streams_arrive_at_their_rates(peer)
+    status_lines_tell_of_the_flight(service.lines[1:])
+    files_are_whole(out, log)
+    # the recording gives the same estimates again, to the last byte
+    assert main(["-q", "replay", str(log), "--out", str(tmp_path / "again")]) == 0
+    for name in ("estimates.csv", "innovations.csv"):
+        live = (out / "eskf" / name).read_bytes()
+        assert live.count(b"\n") > 50
+        assert live == (tmp_path / "again/eskf" / name).read_bytes(), name
+    again = json.loads((tmp_path / "again/summary.json").read_text())
+    summary = json.loads((out / "summary.json").read_text())
+    for key in ("imu", "imu_samples", "aiding", "health", "resets", "rows"):
+        assert summary[key] == again[key], key
+    assert max(summary["truth"]["rms"]["pos_m"]) < 1.0
+    assert summary["truth"]["rms"]["pos_m"] == pytest.approx(
+        again["truth"]["rms"]["pos_m"], abs=0.1
+    )
+
+
+def streams_arrive_at_their_rates(peer: Peer) -> None:
+    assert {m.get_srcSystem() for _, m in peer.seen} == {100}
+    assert {m.get_srcComponent() for _, m in peer.seen} == {1}
+    numbers = [m.get_seq() for _, m in peer.seen]
+    assert all((b - a) % 256 == 1 for a, b in itertools.pairwise(numbers))
+    assert all(finite(m) for _, m in peer.seen)
+    kinds = peer.kinds()
+    assert set(kinds) == {*RATES, "STATUSTEXT"}
+    running = next(t for t, m in kinds["STATUSTEXT"] if "running" in m.text)
+    last = kinds["LOCAL_POSITION_NED"][-1][0]
+    assert last - running > 8.0
+    for kind in ESTIMATES:
+        assert kinds[kind][0][0] >= running - 0.05, f"{kind} before the filter runs"
+    for kind, rate in RATES.items():
+        count = sum(running < t <= last for t, _ in kinds[kind])
+        # a simulator that is held up at its start catches up; a period more or less at the ends
+        assert count == pytest.approx(rate * (last - running), rel=0.04, abs=1.6), kind
+    # on the vehicle's boot clock: it starts at 1 s, and each stream's stamps lie on its grid
+    for kind in ("LOCAL_POSITION_NED", "ATTITUDE", "ATTITUDE_QUATERNION"):
+        stamps = [m.time_boot_ms for _, m in kinds[kind]]
+        assert 1000 < stamps[0] < 10_000
+        assert 14_900 < stamps[-1] <= 16_000
+        assert all(b - a == 20 for a, b in itertools.pairwise(stamps)), kind
+
+
+def status_lines_tell_of_the_flight(lines: list[str]) -> None:
+    snapshots = [json.loads(line) for line in lines]
+    assert len(snapshots) > 10
+    vehicle = snapshots[-1]["vehicles"][0]
+    assert vehicle["sysid"] == 1
+    assert vehicle["health"] == "running"
+    assert vehicle["rates"]["HIGHRES_IMU"] == pytest.approx(250, abs=25)
+    assert vehicle["aidings"]["gnss_position"]["fused"] > 30
+    assert math.hypot(*vehicle["error"]["pos"]) < 2.0
+
+
+def files_are_whole(out: Path, log: Path) -> None:
+    frames = read_tlog(log)
+    assert not frames.damage
+    assert {1, 100, 255} <= set(frames.sysid.tolist())
+    for name in ("estimates.csv", "innovations.csv"):
+        text = (out / "eskf" / name).read_text()
+        assert text.endswith("\n")
+        rows = list(csv.reader(text.splitlines()))
+        assert {len(row) for row in rows} == {len(rows[0])}
+    assert (out / "eskf/config.yaml").read_text().endswith("\n")
+    assert not list(out.rglob("*.part"))
+
+
+def test_a_ground_station_that_never_sent_and_one_that_falls_silent(
+    serve: Callable[..., Serve],
+    fly_process: Callable[..., subprocess.Popen[bytes]],
+    peer: Peer,
+    tmp_path: Path,
+) -> None:
+    settings = tmp_path / "settings.yaml"
+    settings.write_text("mavlink:\n  peer_timeout: 2.0\n")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+        sock.bind(("127.0.0.1", 0))
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4 << 20)
+        named = Peer(sock)
+        address = f"127.0.0.1:{sock.getsockname()[1]}"
+        service = serve("--gcs", address, "--config", str(settings), "--status", "off")
+        peer.hello(service.port)
+        said_hello = time.monotonic()
+        simulator = fly_process(service.port, 7.0)
+        listener = threading.Thread(
+            target=named.listen, args=(lambda: simulator.poll() is not None, 40.0)
+        )
+        listener.start()
+        peer.listen(lambda: simulator.poll() is not None, 40.0)
+        listener.join()
+        assert service.stop(signal.SIGTERM) == ""
+    assert len(named.kinds()["LOCAL_POSITION_NED"]) > 100
+    assert len(named.kinds()["HEARTBEAT"]) >= 6
+    # the one that sent a single heartbeat heard from us for two seconds
+    assert all(t - said_hello < 2.5 for t, _ in peer.seen)
+    assert service.lines[1:] == []
+
+
+def test_a_signal_right_after_listening_ends_it_cleanly(serve: Callable[..., Serve]) -> None:
+    serve().stop(signal.SIGINT)
+    serve("-q").stop(signal.SIGTERM)
