@@ -1,24 +1,21 @@
 """The estimator: the only path to a filter. Samples and measurements go in as they arrive, estimates come out.
 
-It keeps one time line of IMU rows and measurements. A measurement belongs to its valid time: if that is past, the
-filter is taken back to a snapshot before it and everything since is run again, gates included; if it lies ahead
-of the newest IMU sample, it waits. The outcome depends on content and order of arrival alone, never on how many IMU
-rows were handed over at a time. Theory: docs/theory/time.md.
+It makes measurements out of fixes, aligns, watches over health and resets, and leaves the order of time to the
+time line. The outcome depends on content and order of arrival alone, never on how many IMU rows were handed over
+at a time.
 """
 
 from __future__ import annotations
 
 import math
-from bisect import bisect_right, insort
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
 from mavins.aiding import Measurement, gnss_position, gnss_velocity, heading, zero_velocity
 from mavins.estimator.aligner import Aligner, Candidate
-from mavins.estimator.buffer import ImuBuffer
 from mavins.estimator.fusion import Event, Fusion, Track
 from mavins.estimator.gate import gate_threshold
 from mavins.estimator.quality import noise_of, objection
@@ -26,6 +23,7 @@ from mavins.estimator.settings import Settings
 from mavins.estimator.solution import solution_of
 from mavins.estimator.standing import HALF_WINDOW_US
 from mavins.estimator.statistics import AidingStatistics
+from mavins.estimator.timeline import Timeline
 from mavins.filters import Filter, FilterState, ImuNoise, RowBlock, make
 from mavins.nav.earth import TangentFrame
 from mavins.nav.kernels import kernel
@@ -44,19 +42,11 @@ from mavins.types import (
 
 TICK_US = 200_000
 """Standing, time-outs and health are looked at when the IMU stamps pass a multiple of this."""
-SNAPSHOT_US = 40_000
-LONGEST_RUN = 25
-"""IMU rows that are walked at most without a snapshot."""
-ROWS_HELD = 512
-"""Output rows are handed over in blocks; `flush` hands over what there is."""
 RESETS_TO_DIVERGE = 3
 DIVERGE_WITHIN_US = 60_000_000
-
-
-@dataclass(slots=True)
-class _Snapshot:
-    state: FilterState
-    track: Track
+YAW_SILENT_US = 5_000_000
+YAW_SIGMA = math.radians(8.0)
+"""Without a heading for this long and with a larger sigma, the status says that yaw is not observable."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,24 +77,19 @@ class Estimator:
         )
         self.filter: Filter = make(filter_name, self._noise)
         self._buffer_us = round(settings.estimator.buffer * 1e6)
+        self._window_us = round(settings.alignment.window * 1e6)
         self._imu_delay_us = round(settings.imu.delay * 1e6)
         self._max_gap_us = round(settings.estimator.max_gap * 1e6)
         self._rotation = _rotation(settings.imu.rotation)
-        self._rows = RowBlock.empty(ROWS_HELD)
-        self.frame: TangentFrame | None = None
         self._wanted_origin: Origin | None = None
+        self.frame: TangentFrame | None = None
         self.statistics: dict[str, AidingStatistics] = {}
         self.dropped: Counter[str] = Counter()
         self.imu_rows = 0
         self.realignments = 0
         self._resets_before = 0
-        self._sequence = 0
-        self._state: FilterState | None = None
-        self._buffer = ImuBuffer()
-        self._events: list[Event] = []
-        self._snapshots: list[_Snapshot] = []
-        self._fusion = Fusion(self.filter, settings.gnss.reset_after)
         self._aligner = Aligner(settings)
+        self._line = self._new_line()
         self.health = Health.WAITING
         self.reason = "waiting for IMU and GNSS"
 
@@ -113,23 +98,24 @@ class Estimator:
     @property
     def running(self) -> bool:
         """True while there is an estimate."""
-        return self._state is not None
+        return self._line.state is not None
 
     @property
     def reset_counter(self) -> int:
         """Rises by one at every jump of the estimate."""
-        return self._resets_before + self._fusion.track.resets
+        return self._resets_before + self._line.fusion.track.resets
 
     @property
     def t_us(self) -> int | None:
         """The newest IMU stamp, or None."""
-        return self._buffer.newest_us if len(self._buffer) else None
+        return self._line.buffer.newest_us if len(self._line.buffer) else None
 
     def solution(self) -> NavSolution | None:
         """The estimate at the newest IMU stamp, or None before `running`."""
-        if self._state is None or self.frame is None:
+        state = self._line.state
+        if state is None or self.frame is None:
             return None
-        return solution_of(self._state, self.frame, self.health, self.reset_counter)
+        return solution_of(state, self.frame, self.health, self.reset_counter)
 
     # ---- what comes in -----------------------------------------------------------------------------------------
 
@@ -138,36 +124,33 @@ class Estimator:
         self._wanted_origin = origin
         if self.frame is None:
             return
-        self.flush()
         old, new = self.frame, TangentFrame.at(origin)
-        self._finish_decisions(None)
         self.frame = new
-        if self._state is not None:
-            _carry_over(self._state, old, new)
-            self._events.clear()
-            self._snapshots = [_Snapshot(self._state.copy(), self._fusion.track)]
+        if self._line.state is not None:
+            # what was estimated so far is written in the frame it was estimated in
+            self._line.flush()
+            _carry_over(self._line.state, old, new)
             self._resets_before += 1
+            self._decide(self._line.change_frame(new))
 
     def restart(self, reason: str) -> None:
         """Forget all samples and the estimate (the vehicle has rebooted); the origin stays."""
-        self._finish_decisions(None)
-        if self._state is not None:
-            self._resets_before += 1
-        self._start_over(reason, Health.WAITING)
+        self._lost(reason, Health.WAITING)
 
     def feed_imu(self, table: ImuTable) -> None:
         """Take IMU samples in the order of their arrival."""
         t_us, imu = _to_body(table, self._imu_delay_us, self._rotation)
         start, n = 0, len(t_us)
         while start < n:
-            newest = self._buffer.newest_us if len(self._buffer) else None
-            if newest is not None and t_us[start] <= newest:
-                self._late_sample(int(t_us[start]), imu[start])
+            newest = self.t_us
+            first = int(t_us[start])
+            if newest is not None and first <= newest:
+                self._late_sample(first, imu[start])
                 start += 1
                 continue
             end = run_end(t_us, start, -1 if newest is None else newest, self._max_gap_us)
-            if newest is not None and t_us[start] - newest > self._max_gap_us:
-                self._lost(f"IMU gap of {(t_us[start] - newest) * 1e-6:.1f} s", Health.ALIGNING)
+            if newest is not None and first - newest > self._max_gap_us:
+                self._lost(f"IMU gap of {(first - newest) * 1e-6:.1f} s", Health.ALIGNING)
             self._take_rows(t_us[start:end], imu[start:end], newest)
             start = end
 
@@ -178,7 +161,7 @@ class Estimator:
         if not quality and fix.v_l is not None and not math.isnan(fix.v_l[0]):
             self._aligner.standing.see_speed(math.hypot(fix.v_l[0], fix.v_l[1]))
         self._aligner.see_fix(fix, t_us)
-        if self._state is None or self.frame is None:
+        if not self.running or self.frame is None:
             return
         settings = self.settings.gnss
         noise = noise_of(fix, settings)
@@ -193,7 +176,7 @@ class Estimator:
         """Take a heading."""
         t_us = fix.t_us - round(fix.delay * 1e6)
         self._aligner.see_heading(fix, t_us)
-        if self._state is None or self.frame is None:
+        if not self.running or self.frame is None:
             return
         sigma = self.heading_sigma(fix)
         self._take(heading.measure(fix, t_us, self.frame, sigma, self.settings.heading.gate))
@@ -202,29 +185,27 @@ class Estimator:
         """The 1-sigma noise (rad) taken for a heading."""
         return fix.sigma if fix.sigma is not None else math.radians(self.settings.heading.sigma_deg)
 
+    def flush(self) -> None:
+        """Hand over the output rows that are held."""
+        self._line.flush()
+
     def finish(self) -> None:
         """No more input: hand over the rows that are held and the decisions that are still open."""
-        self.flush()
-        self._finish_decisions(None)
+        self._line.flush()
+        self._decide(self._line.end())
 
-    # ---- the time line -----------------------------------------------------------------------------------------
+    # ---- on the time line --------------------------------------------------------------------------------------
 
-    def _start_over(self, reason: str, health: Health) -> None:
-        self._state = None
-        self._buffer = ImuBuffer()
-        self._events = []
-        self._snapshots = []
-        self._fusion = Fusion(self.filter, self.settings.gnss.reset_after)
-        self._aligner = Aligner(self.settings)
-        self.health = health
-        self.reason = reason
+    def _new_line(self) -> Timeline:
+        fusion = Fusion(self.filter, self.settings.gnss.reset_after)
+        outputs = self._outputs
+        return Timeline(self.filter, fusion, self._buffer_us, outputs.grid_us, outputs.rows)
 
     def _take_rows(self, t_us: IntArray, imu: FloatArray, newest: int | None) -> None:
         """Append rows, of which only the last may have passed a tick, and move the estimate through them."""
         self.imu_rows += len(t_us)
-        self._buffer.append(t_us, imu)
-        if self._state is not None:
-            self._run(self._buffer.end - len(t_us), self._outputs.grid_us)
+        self._line.append(t_us, imu)
+        self._check_sanity()
         last = int(t_us[-1])
         before = newest if len(t_us) == 1 else int(t_us[-2])
         if before is not None and last // TICK_US != before // TICK_US:
@@ -232,115 +213,33 @@ class Estimator:
 
     def _late_sample(self, t_us: int, reading: FloatArray) -> None:
         """A sample older than the newest: a repetition is dropped, another is put in its place."""
-        if self._buffer.contains(t_us):
-            self.dropped["IMU repeated"] += 1
-        elif t_us < max(self._buffer.oldest_us, self._buffer.newest_us - self._buffer_us):
-            self.dropped["IMU too old"] += 1
+        reason = self._line.insert(t_us, reading)
+        if reason:
+            self.dropped[reason] += 1
         else:
             self.imu_rows += 1
-            self._buffer.insert(t_us, reading)
-            if self._state is not None:
-                self._rewind(t_us)
+            self._check_sanity()
 
     def _take(self, measurement: Measurement) -> None:
-        """Put a measurement on the time line and fuse it where it belongs."""
-        self._sequence += 1
-        order = (measurement.t_us, measurement.rank, measurement.source, self._sequence)
-        event = Event(measurement, order)
-        if self._state is None or not self._snapshots:
-            return
-        oldest = max(self._snapshots[0].state.t_us, self._buffer.newest_us - self._buffer_us)
-        if measurement.t_us <= oldest:
-            event.reason = "too old"
-        elif measurement.t_us > self._buffer.newest_us + self._buffer_us:
-            event.reason = "too far ahead"
-        if event.reason:
-            self._decide(event)
-            return
-        insort(self._events, event, key=lambda e: e.order)
-        if measurement.t_us <= self._buffer.newest_us:
-            self._rewind(measurement.t_us)
-
-    def _rewind(self, t_us: int) -> None:
-        """Run again everything from just before t_us."""
-        i = bisect_right(self._snapshots, t_us - 1, key=lambda s: s.state.t_us) - 1
-        if i < 0:
-            return
-        if self._state is None or self._state.t_us >= t_us:
-            del self._snapshots[i + 1 :]
-            self._state = self._snapshots[i].state.copy()
-            self._fusion.track = self._snapshots[i].track
-        self._run(self._buffer.row_after(self._state.t_us), -1)
-
-    def _run(self, first: int, grid_us: int) -> None:
-        """Move the state to the newest row, fusing the events on the way; `first` is the first row not walked."""
-        state, frame = self._state, self.frame
-        assert state is not None
-        assert frame is not None
-        buffer, rows = self._buffer, self._rows
-        newest = buffer.newest_us
-        i = bisect_right(self._events, state.t_us, key=lambda e: e.order[0])
-        while True:
-            event = self._events[i] if i < len(self._events) else None
-            until = newest if event is None else min(newest, event.order[0])
-            last = buffer.row_after(until)
-            end = min(last, first + LONGEST_RUN)
-            if end > first:
-                previous = (
-                    int(buffer.times(first - 1, first)[0]) if first > buffer.first else state.t_us
-                )
-                self.filter.walk(
-                    state,
-                    frame,
-                    buffer.times(first, end),
-                    buffer.readings(first, end),
-                    previous,
-                    grid_us,
-                    rows,
-                )
-                first = end
-                if rows.count > ROWS_HELD - LONGEST_RUN:
-                    self.flush()
-            if end < last:
-                self._snapshot()
-                continue
-            if event is None or event.order[0] > newest:
-                break
-            if event.order[0] > state.t_us:
-                # all events up to here are in: a place to come back to
-                self._snapshot()
-                self.filter.advance(state, frame, event.order[0], buffer.reading_at(event.order[0]))
-            self._fusion.fuse(state, event)
-            i += 1
-        self._snapshot()
+        """Fuse a measurement where it belongs."""
+        refused = self._line.take(measurement)
+        if refused is not None:
+            self._decide([refused])
         self._check_sanity()
-
-    def _snapshot(self) -> None:
-        state = self._state
-        assert state is not None
-        if self._snapshots and state.t_us - self._snapshots[-1].state.t_us < SNAPSHOT_US:
-            return
-        self._snapshots.append(_Snapshot(state.copy(), self._fusion.track))
-
-    def flush(self) -> None:
-        """Hand over the output rows that are held."""
-        if self._rows.count and self._outputs.rows is not None and self.frame is not None:
-            self._outputs.rows(self._rows, self.frame)
-        self._rows.count = 0
 
     # ---- decisions and health ----------------------------------------------------------------------------------
 
     def _tick(self, now_us: int) -> None:
         """What is looked at a few times a second."""
         standing = self._aligner.standing
-        if self._state is None or not standing.moved:
-            standing.tick(self._buffer, now_us)
-        if self._state is None:
+        if not self.running or not standing.moved:
+            standing.tick(self._line.buffer, now_us)
+        if not self.running:
             self._try_to_align(now_us)
         else:
             self._zero_velocity(now_us)
             self._judge_health(now_us)
-        self._prune(now_us)
+        self._decide(self._line.prune(now_us, self._window_us))
 
     def _zero_velocity(self, now_us: int) -> None:
         settings = self.settings.zero_velocity
@@ -353,10 +252,10 @@ class Estimator:
             )
 
     def _judge_health(self, now_us: int) -> None:
-        state = self._state
+        state = self._line.state
         if state is None:
             return
-        track = self._fusion.track
+        track = self._line.fusion.track
         gnss_us = max(track.accepted_us[0], track.accepted_us[1])
         silent = (now_us - gnss_us) * 1e-6
         lately = [t for t in track.reset_times_us if now_us - t < DIVERGE_WITHIN_US]
@@ -372,63 +271,39 @@ class Estimator:
             self.reason = f"no GNSS accepted for {silent:.0f} s"
         else:
             self.health = Health.RUNNING
-            self.reason = self._yaw_remark(now_us)
-
-    def _yaw_remark(self, now_us: int) -> str:
-        assert self._state is not None
-        heading_us = self._fusion.track.accepted_us[heading.RANK]
-        sigma = math.sqrt(float(self._state.P[8, 8]))
-        if now_us - heading_us > 5_000_000 and sigma > math.radians(8.0):
-            return f"yaw not observable (sigma {math.degrees(sigma):.0f} deg): no heading, no acceleration"
-        return ""
+            self.reason = _yaw_remark(state, track, now_us)
 
     def _check_sanity(self) -> None:
-        state = self._state
+        state = self._line.state
         if state is not None and not is_sane(state.x, state.P):
             self._lost("the estimate is not finite", Health.DIVERGED)
 
     def _lost(self, reason: str, health: Health) -> None:
-        """Give the estimate up and align anew; the origin stays."""
-        had_estimate = self._state is not None
-        resets = self.reset_counter
-        self._finish_decisions(None)
-        self._start_over(reason, health)
-        self._resets_before = resets + 1 if had_estimate else resets
+        """Give the samples and the estimate up and begin anew; the origin stays."""
+        had_estimate = self.running
+        self._resets_before = self.reset_counter + had_estimate
         self.realignments += had_estimate
+        self.finish()
+        self._aligner = Aligner(self.settings)
+        self._line = self._new_line()
+        self.health = health
+        self.reason = reason
 
-    def _decide(self, event: Event) -> None:
-        m = event.measurement
-        statistics = self.statistics.setdefault(m.aiding, AidingStatistics())
-        statistics.add(event, gate_threshold(m.gate, max(1, len(m.z))))
-        if self._outputs.decision is not None:
-            self._outputs.decision(event)
-
-    def _finish_decisions(self, before_us: int | None) -> None:
-        """Count and write the decisions on measurements before this time (None: all that were taken up)."""
-        keep = 0
-        for event in self._events:
-            if before_us is not None and event.order[0] >= before_us:
-                break
-            keep += 1
-            if len(event.innovation):
-                self._decide(event)
-        del self._events[:keep]
-
-    def _prune(self, now_us: int) -> None:
-        """Forget what no rewind can reach any more."""
-        horizon = now_us - self._buffer_us
-        i = bisect_right(self._snapshots, horizon, key=lambda s: s.state.t_us) - 1
-        if i > 0:
-            del self._snapshots[:i]
-        reachable = min(horizon, self._snapshots[0].state.t_us) if self._snapshots else horizon
-        self._finish_decisions(reachable)
-        window_us = round(self.settings.alignment.window * 1e6)
-        self._buffer.drop_before(reachable - window_us)
+    def _decide(self, events: Iterable[Event]) -> None:
+        """Count and write final decisions."""
+        for event in events:
+            m = event.measurement
+            statistics = self.statistics.get(m.aiding)
+            if statistics is None:
+                statistics = self.statistics[m.aiding] = AidingStatistics()
+            statistics.add(event, gate_threshold(m.gate, len(m.z)))
+            if self._outputs.decision is not None:
+                self._outputs.decision(event)
 
     # ---- alignment ---------------------------------------------------------------------------------------------
 
     def _try_to_align(self, now_us: int) -> None:
-        candidate = self._aligner.candidate(self._buffer, now_us, self._buffer_us)
+        candidate = self._aligner.candidate(self._line.buffer, now_us, self._buffer_us)
         if isinstance(candidate, str):
             if self.health != Health.DIVERGED or self._aligner.gate.good:
                 waiting = not self._aligner.gate.good
@@ -445,13 +320,24 @@ class Estimator:
         x, P = self._aligner.start(
             candidate, self.frame, self.filter.layout.size, self.heading_sigma
         )
-        first = self._buffer.row_after(candidate.t_us)
-        self._state = FilterState(x, P, self._buffer.reading_at(candidate.t_us), candidate.t_us)
-        self._fusion.track = Track(accepted_us=(candidate.t_us,) * 3)
-        self._snapshots = [_Snapshot(self._state.copy(), self._fusion.track)]
+        reading = self._line.buffer.reading_at(candidate.t_us)
         self.health = Health.RUNNING
         self.reason = ""
-        self._run(first, -1)
+        self._line.begin(
+            FilterState(x, P, reading, candidate.t_us),
+            self.frame,
+            Track(accepted_us=(candidate.t_us,) * 3),
+        )
+        self._check_sanity()
+
+
+def _yaw_remark(state: FilterState, track: Track, now_us: int) -> str:
+    """A word where the heading is on its own: no heading for some seconds, and its sigma has grown."""
+    sigma = math.sqrt(float(state.P[8, 8]))
+    silent_us = now_us - track.accepted_us[heading.RANK]
+    if silent_us <= YAW_SILENT_US or sigma <= YAW_SIGMA:
+        return ""
+    return f"yaw not observable (sigma {math.degrees(sigma):.0f} deg): no heading, no acceleration"
 
 
 def _rotation(angles: tuple[float, float, float]) -> FloatArray | None:

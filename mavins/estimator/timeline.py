@@ -1,0 +1,212 @@
+"""The time line of one run of a filter: IMU rows, measurements and states to come back to.
+
+A measurement belongs to its valid time. If that is past, the filter is taken back to a snapshot before it and
+everything since is run again, gates included; if it lies ahead of the newest IMU sample, it waits. Where snapshots
+happen to lie makes no difference to the result: a run is the same from any of them. Theory: docs/theory/time.md.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right, insort
+from collections.abc import Callable
+from typing import NamedTuple
+
+from mavins.aiding import Measurement
+from mavins.estimator.buffer import ImuBuffer
+from mavins.estimator.fusion import Event, Fusion, Track
+from mavins.filters import Filter, FilterState, RowBlock
+from mavins.nav.earth import TangentFrame
+from mavins.types import FloatArray, IntArray
+
+SNAPSHOT_US = 40_000
+LONGEST_RUN = 25
+"""IMU rows that are walked at most without a snapshot."""
+ROWS_HELD = 512
+"""Output rows are handed over in blocks; `flush` hands over what there is."""
+
+
+class _Snapshot(NamedTuple):
+    t_us: int
+    state: FilterState
+    track: Track
+
+
+def _time_of(item: _Snapshot) -> int:
+    return item.t_us
+
+
+def _event_time(event: Event) -> int:
+    return event.order[0]
+
+
+def _event_order(event: Event) -> tuple[int, int, str, int]:
+    return event.order
+
+
+class Timeline:
+    """IMU rows always; a state, and measurements on their way into it, from `begin` on."""
+
+    def __init__(
+        self,
+        algorithm: Filter,
+        fusion: Fusion,
+        buffer_us: int,
+        grid_us: int,
+        rows: Callable[[RowBlock, TangentFrame], None] | None,
+    ) -> None:
+        self.buffer = ImuBuffer()
+        self.state: FilterState | None = None
+        self.frame: TangentFrame | None = None
+        self.fusion = fusion
+        self._filter = algorithm
+        self._buffer_us = buffer_us
+        self._grid_us = grid_us
+        self._write = rows
+        self._rows = RowBlock.empty(ROWS_HELD)
+        self._events: list[Event] = []
+        self._snapshots: list[_Snapshot] = []
+        self._sequence = 0
+
+    def begin(self, state: FilterState, frame: TangentFrame, track: Track) -> None:
+        """Start from a state between the buffered IMU rows and walk to the newest; no row of this is written."""
+        self.state, self.frame = state, frame
+        self.fusion.track = track
+        self._snapshots = [_Snapshot(state.t_us, state.copy(), track)]
+        self._run(self.buffer.row_after(state.t_us), -1)
+
+    def change_frame(self, frame: TangentFrame) -> list[Event]:
+        """Go on in another frame with the state, which the caller has carried over; ends all decisions."""
+        self.flush()
+        decided = self.end()
+        self.frame = frame
+        if self.state is not None:
+            self._snapshots = [_Snapshot(self.state.t_us, self.state.copy(), self.fusion.track)]
+        return decided
+
+    def append(self, t_us: IntArray, imu: FloatArray) -> None:
+        """Add IMU rows that follow the newest, and move the state through them."""
+        self.buffer.append(t_us, imu)
+        if self.state is not None:
+            self._run(self.buffer.end - len(t_us), self._grid_us)
+
+    def insert(self, t_us: int, reading: FloatArray) -> str:
+        """Put a late IMU row in its place; returns why not, or nothing."""
+        buffer = self.buffer
+        if buffer.contains(t_us):
+            return "IMU repeated"
+        if t_us < max(buffer.oldest_us, buffer.newest_us - self._buffer_us):
+            return "IMU too old"
+        row = buffer.insert(t_us, reading)
+        if self.state is not None:
+            # from the row before: between it and this one, readings lay on another line
+            before = int(buffer.times(row - 1, row)[0]) if row > buffer.first else t_us
+            self._rewind(before + 1)
+        return ""
+
+    def take(self, measurement: Measurement) -> Event | None:
+        """Fuse a measurement where it belongs; returns it, decided, if there is no such place."""
+        if self.state is None:
+            return None
+        self._sequence += 1
+        order = (measurement.t_us, measurement.rank, measurement.source, self._sequence)
+        event = Event(measurement, order)
+        newest = self.buffer.newest_us
+        if measurement.t_us <= max(self._snapshots[0].t_us, newest - self._buffer_us):
+            event.reason = "too old"
+            return event
+        if measurement.t_us > newest + self._buffer_us:
+            event.reason = "too far ahead"
+            return event
+        insort(self._events, event, key=_event_order)
+        if measurement.t_us <= newest:
+            self._rewind(measurement.t_us)
+        return None
+
+    def prune(self, now_us: int, window_us: int) -> list[Event]:
+        """Forget what no rewind can reach, but keep IMU rows over a window; returns the decisions now final."""
+        horizon = now_us - self._buffer_us
+        i = bisect_right(self._snapshots, horizon, key=_time_of) - 1
+        if i > 0:
+            del self._snapshots[:i]
+        reachable = min(horizon, self._snapshots[0].t_us) if self._snapshots else horizon
+        self.buffer.drop_before(reachable - window_us)
+        if not self._events or self._events[0].order[0] >= reachable:
+            return []
+        final = bisect_right(self._events, reachable - 1, key=_event_time)
+        decided = self._events[:final]
+        del self._events[:final]
+        return decided
+
+    def end(self) -> list[Event]:
+        """All decisions that are still open; measurements that wait for IMU samples are given up."""
+        decided = [event for event in self._events if len(event.innovation)]
+        self._events.clear()
+        return decided
+
+    def flush(self) -> None:
+        """Hand over the output rows that are held."""
+        if self._rows.count and self._write is not None and self.frame is not None:
+            self._write(self._rows, self.frame)
+        self._rows.count = 0
+
+    def _rewind(self, t_us: int) -> None:
+        """Run again everything from just before t_us."""
+        assert self.state is not None
+        i = bisect_right(self._snapshots, t_us - 1, key=_time_of) - 1
+        if i < 0:
+            return
+        if self.state.t_us >= t_us:
+            del self._snapshots[i + 1 :]
+            self.state = self._snapshots[i].state.copy()
+            self.fusion.track = self._snapshots[i].track
+        self._run(self.buffer.row_after(self.state.t_us), -1)
+
+    def _run(self, first: int, grid_us: int) -> None:
+        """Move the state to the newest row, fusing the events on the way; `first` is the first row not walked."""
+        state, frame, buffer = self.state, self.frame, self.buffer
+        assert state is not None
+        assert frame is not None
+        newest, end = buffer.newest_us, buffer.end
+        i = bisect_right(self._events, state.t_us, key=_event_time)
+        while True:
+            event = self._events[i] if i < len(self._events) else None
+            if event is not None and event.order[0] > newest:
+                event = None
+            last = end if event is None else buffer.row_after(event.order[0])
+            while first < last:
+                part = min(last, first + LONGEST_RUN)
+                self._walk(state, frame, first, part, grid_us)
+                first = part
+                if first < last:
+                    self._snapshot(state)
+            if event is None:
+                break
+            if event.order[0] > state.t_us:
+                # all events up to here are in: a place to come back to
+                self._snapshot(state)
+                reading = buffer.reading_at(event.order[0])
+                self._filter.advance(state, frame, event.order[0], reading)
+            self.fusion.fuse(state, event)
+            i += 1
+        self._snapshot(state)
+
+    def _walk(
+        self, state: FilterState, frame: TangentFrame, first: int, end: int, grid_us: int
+    ) -> None:
+        buffer, rows = self.buffer, self._rows
+        previous = state.t_us if first == buffer.first else int(buffer.times(first - 1, first)[0])
+        self._filter.walk(
+            state,
+            frame,
+            buffer.times(first, end),
+            buffer.readings(first, end),
+            previous,
+            grid_us,
+            rows,
+        )
+        if rows.count > ROWS_HELD - LONGEST_RUN:
+            self.flush()
+
+    def _snapshot(self, state: FilterState) -> None:
+        if not self._snapshots or state.t_us - self._snapshots[-1].t_us >= SNAPSHOT_US:
+            self._snapshots.append(_Snapshot(state.t_us, state.copy(), self.fusion.track))
