@@ -87,7 +87,7 @@ def replay(
         intake = Intake(estimator, config.sources)
         _feed(intake, frames, sysid, our_sysid(frames, sysid, config.mavlink), progress)
         estimator.finish()
-    if intake.imu is None:
+    if intake.imu.chosen is None:
         raise LogFormatError(f"the log has no usable IMU messages of vehicle {sysid}")
     write_text(folder / "config.yaml", to_yaml(config))
     t_us, rows = writer.table()
@@ -161,8 +161,8 @@ def summarize(estimator: Estimator, intake: Intake) -> dict[str, Any]:
     """What a run saw and decided: messages, drops, aidings with their innovation statistics, health."""
     return {
         "imu": None
-        if intake.imu is None
-        else {"message": IMU_KINDS[intake.imu[0]], "id": intake.imu[1]},
+        if intake.imu.chosen is None
+        else {"message": intake.imu.name, "id": intake.imu.chosen[1]},
         "messages": dict(intake.counts),
         "rates_hz": intake.rates(),
         "dropped": {k: v for k, v in (intake.dropped + estimator.dropped).items() if v},
@@ -170,6 +170,7 @@ def summarize(estimator: Estimator, intake: Intake) -> dict[str, Any]:
         "aiding": {name: s.summary() for name, s in estimator.statistics.items()},
         "health": estimator.health.name.lower(),
         "reason": estimator.reason,
+        "reboots": intake.reboots,
         "resets": estimator.reset_counter,
         "realignments": estimator.realignments,
     }

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, ClassVar, Final, Protocol
 
 import numpy as np
@@ -18,7 +17,6 @@ from mavins.estimator.estimator import Estimator
 from mavins.mavlink.clock import Clock, ImuTimes, is_unix
 from mavins.mavlink.codec import (
     IMU_KINDS,
-    WRAPPING_IMU_KINDS,
     Attitude,
     Frames,
     GlobalPosition,
@@ -29,25 +27,20 @@ from mavins.mavlink.codec import (
     Invalid,
     SystemTime,
     decode,
-    decode_imu,
     fields_of,
     name_of,
 )
 from mavins.mavlink.codec.framing import gather
+from mavins.mavlink.imu_source import IMU_IDS, ImuSource, Samples
 from mavins.mavlink.sources import Sources, SourceSettings, resolve
 from mavins.types import FloatArray, GnssFix, HeadingFix, ImuTable, IntArray
 
-PREFERENCE: Final = (105, 26, 116, 129, 27)
-"""IMU messages, the best first: HIGHRES_IMU, SCALED_IMU, SCALED_IMU2, SCALED_IMU3, RAW_IMU."""
-CHOICE_US: Final = 1_000_000
-"""A lesser IMU message is chosen only when nothing better has come for this long (reception time)."""
 HEARTBEAT_WAIT_US: Final = 3_000_000
 """A vehicle without a HEARTBEAT for this long is taken for one that sends raw sensors."""
 PAIR_US: Final = 1_500_000
 """GPS_RAW_INT lends GLOBAL_POSITION_INT its fix type and accuracies up to this age."""
 VERTICAL_US: Final = 250_000
 
-_IMU_IDS: Final = np.array(sorted(IMU_KINDS), dtype=np.int64)
 _OTHER_IDS: Final = np.array(
     sorted(
         fields_of(name).msgid
@@ -63,7 +56,7 @@ _OTHER_IDS: Final = np.array(
     ),
     dtype=np.int64,
 )
-RELEVANT: Final = np.union1d(_IMU_IDS, _OTHER_IDS)
+RELEVANT: Final = np.union1d(IMU_IDS, _OTHER_IDS)
 """The message ids that an intake looks at; all others may be left out."""
 _FROM_ANY_COMPONENT: Final = ("GPS_INPUT", "HIL_GPS")
 _MAV_AUTOPILOT_INVALID: Final = 8
@@ -78,17 +71,6 @@ def _boot_stamps(frames: Frames, at: IntArray) -> list[int]:
     head = gather(frames.data, table[0], table[1], 4)
     stamps: list[int] = (head.view("<u4")[:, 0].astype(np.int64) * 1000).tolist()
     return stamps
-
-
-@dataclass(frozen=True, slots=True)
-class Samples:
-    """IMU samples of packets `at` (N,): stamps as sent, SI readings (N, 3), reception stamps (us)."""
-
-    at: IntArray
-    stamp_us: IntArray
-    accel_b: FloatArray
-    gyro_b: FloatArray
-    received_us: IntArray
 
 
 class Stamped(Protocol):
@@ -110,20 +92,17 @@ class Intake:
         self.clock = Clock()
         self.sources: Sources | None = None
         self.autopilot: int | None = None
-        self.imu: tuple[int, int] | None = None
-        self.compid: int | None = None
         self.counts: Counter[str] = Counter()
         self.dropped: Counter[str] = Counter()
+        self.imu = ImuSource(self.dropped)
+        self.reboots = 0
         self.last_fix: GnssFix | None = None
         self._settings = settings
-        self._first_imu_us: int | None = None
-        self._newest_imu_us = 0
         self._quality: GpsRaw | None = None
         self._quality_us = 0
         self._vertical: tuple[int, float] | None = None
         self._fix_stamp: int | None = None
         self._heading_stamp: int | None = None
-        self._imu_seen: dict[int, int] = {}
         self._handlers: dict[str, Callable[[Any, int], None]] = {
             "HEARTBEAT": self._heartbeat,
             "SYSTEM_TIME": self._system_time,
@@ -141,12 +120,12 @@ class Intake:
         """
         for msgid, n in zip(*np.unique(frames.msgid, return_counts=True), strict=True):
             self.counts[name_of(int(msgid))] += int(n)
-        if self.imu is None:
+        if self.imu.chosen is None:
             frames = self._until_chosen(frames)
-        if self.imu is None or not len(frames):
+        if not len(frames):
             return
-        is_imu = np.isin(frames.msgid, _IMU_IDS)
-        samples = self._samples(frames, np.flatnonzero(is_imu))
+        is_imu = np.isin(frames.msgid, IMU_IDS)
+        samples = self.imu.samples(frames, np.flatnonzero(is_imu))
         others = np.flatnonzero(~is_imu)
         stamps = _boot_stamps(frames, others)
         taken = 0
@@ -164,9 +143,10 @@ class Intake:
 
     def rates(self) -> dict[str, float]:
         """Messages per second of the time from the first to the newest IMU sample, by reception."""
-        if self._first_imu_us is None or self._newest_imu_us <= self._first_imu_us:
+        first_us, newest_us = self.imu.first_us, self.imu.newest_us
+        if first_us is None or newest_us <= first_us:
             return {}
-        seconds = (self._newest_imu_us - self._first_imu_us) * 1e-6
+        seconds = (newest_us - first_us) * 1e-6
         return {name: n / seconds for name, n in self.counts.items()}
 
     def _is_idle(self, msgid: int, stamp_us: int) -> bool:
@@ -196,59 +176,25 @@ class Intake:
             if int(frames.msgid[i]) not in IMU_KINDS:
                 self._take_other(frames, i)
                 continue
-            self._choose_imu(frames, i)
-            if self.imu is not None:
+            if self.imu.offer(frames, i):
                 return frames.select(np.arange(i, len(frames)))
-            self.dropped["IMU not chosen yet"] += 1
         return frames.select(np.arange(0))
-
-    def _choose_imu(self, frames: Frames, i: int) -> None:
-        """Choose message and sensor once: the best kind at once, else the best that came within a second."""
-        compid, received_us = int(frames.compid[i]), int(frames.t_us[i])
-        if self._first_imu_us is None or self.compid is None:
-            self._first_imu_us = received_us
-            self.compid = compid
-        rows = decode_imu(frames, np.array([i], dtype=np.int64))
-        if compid == self.compid and rows.valid[0]:
-            self._imu_seen.setdefault(int(rows.msgid[0]), int(rows.imu_id[0]))
-        waited = received_us - self._first_imu_us > CHOICE_US
-        if self._imu_seen and (PREFERENCE[0] in self._imu_seen or waited):
-            best = min(self._imu_seen, key=PREFERENCE.index)
-            self.imu = (best, self._imu_seen[best])
-
-    def _samples(self, frames: Frames, at: IntArray) -> Samples:
-        """The usable samples of the chosen message and sensor among the IMU packets `at`."""
-        assert self.imu is not None
-        msgid, imu_id = self.imu
-        at = at[(frames.msgid[at] == msgid) & (frames.compid[at] == self.compid)]
-        rows = decode_imu(frames, at)
-        usable = rows.valid & (rows.imu_id == imu_id)
-        stamp_us, accel_b, gyro_b = rows.stamp_us, rows.accel_b, rows.gyro_b
-        if not usable.all():
-            invalid = int((~rows.valid).sum())
-            self.dropped["IMU invalid"] += invalid
-            self.dropped["IMU of another id"] += len(rows) - invalid - int(usable.sum())
-            at, stamp_us = at[usable], stamp_us[usable]
-            accel_b, gyro_b = accel_b[usable], gyro_b[usable]
-        return Samples(at, stamp_us, accel_b, gyro_b, frames.t_us[at])
 
     def _place(self, samples: Samples, part: slice) -> None:
         """Put samples on the time base and hand them over; a reboot between them starts the estimator over."""
-        assert self.imu is not None
-        assert self._first_imu_us is not None
         received_us = samples.received_us[part]
         accel_b, gyro_b = samples.accel_b[part], samples.gyro_b[part]
-        wraps = IMU_KINDS[self.imu[0]] in WRAPPING_IMU_KINDS
-        times = self.clock.map_imu(samples.stamp_us[part], received_us, wraps)
-        self._newest_imu_us = int(received_us[-1])
+        times = self.clock.map_imu(samples.stamp_us[part], received_us, self.imu.wraps)
         if times.keep.all() and not times.events:
             self.estimator.feed_imu(ImuTable(times.t_us, accel_b, gyro_b))
         else:
             self.dropped["IMU zero stamp"] += times.zero_stamps
             self.dropped["IMU wild stamp"] += times.wild_stamps
             self._place_around_events(times, accel_b, gyro_b)
-        if self.sources is None and int(received_us[-1]) - self._first_imu_us > HEARTBEAT_WAIT_US:
-            self._resolve(_MAV_AUTOPILOT_INVALID)
+        if self.sources is None and self.imu.first_us is not None:
+            waited_us = int(received_us[-1]) - self.imu.first_us
+            if waited_us > HEARTBEAT_WAIT_US:
+                self._resolve(_MAV_AUTOPILOT_INVALID)
 
     def _place_around_events(
         self, times: ImuTimes, accel_b: FloatArray, gyro_b: FloatArray
@@ -260,7 +206,7 @@ class Intake:
             if len(rows):
                 self.estimator.feed_imu(ImuTable(times.t_us[rows], accel_b[rows], gyro_b[rows]))
             if end in reboots:
-                self.counts["reboots"] += 1
+                self.reboots += 1
                 self._forget()
                 self.estimator.restart("the vehicle has rebooted")
             start = end
@@ -282,7 +228,7 @@ class Intake:
             self.dropped[f"{message.kind} {message.reason}"] += 1
             return
         handler = self._handlers.get(message.kind)
-        from_vehicle = self.compid is not None and int(frames.compid[i]) == self.compid
+        from_vehicle = int(frames.compid[i]) == self.imu.compid
         if handler is None or not (from_vehicle or message.kind in _FROM_ANY_COMPONENT):
             return
         handler(message, int(frames.t_us[i]))
