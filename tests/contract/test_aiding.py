@@ -1,0 +1,152 @@
+"""Every registered aiding: its Jacobian, and how each registered filter takes it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from importlib import import_module
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from mavins.aiding import REGISTRY, Model
+from mavins.filters import REGISTRY as FILTERS
+from mavins.filters import FilterState, ImuNoise, make
+from mavins.nav import ins
+from mavins.nav.earth import TangentFrame, gravity_n
+from mavins.nav.layout import BLOCKS, CANONICAL_SIZE, TAU, Layout, boxplus
+from mavins.nav.so3 import euler_to_quat
+from mavins.types import FloatArray, Origin
+
+FRAME = TangentFrame.at(Origin(math.radians(-33.9), math.radians(151.2), 20.0))
+EVERY = Layout.of(BLOCKS).columns
+NOISE = ImuNoise(0.015, 0.35, 1e-4, 3e-3)
+SEEDS = range(4)
+
+
+def model_of(name: str) -> Model:
+    module, _, attribute = REGISTRY[name].partition(":")
+    model: Model = getattr(import_module(module), attribute)
+    return model
+
+
+def level_turn() -> FloatArray:
+    """C_ln some 30 km away from the origin."""
+    return FRAME.local_level(FRAME.origin.lat + 4e-3, FRAME.origin.lon - 4e-3)
+
+
+PARAMETERS: dict[str, Callable[[FloatArray], FloatArray]] = {
+    "gnss_velocity": lambda x: np.concatenate(
+        [level_turn().ravel(), gravity_n(x[:3], FRAME.r0_e, FRAME.C_ne)]
+    ),
+    "heading": lambda x: np.concatenate([FRAME.r0_e, FRAME.C_ne.ravel()]),
+}
+"""What a model needs beside the state; a model that is not here needs nothing."""
+ROWS = {"gnss_velocity": (2, 3), "heading": (1,)}
+CASES = [(name, m) for name in REGISTRY for m in ROWS.get(name, (3,))]
+
+
+def random_case(name: str, m: int, seed: int) -> tuple[FloatArray, ...]:
+    """(x, u, z, parameters) at a random place, attitude and motion, with a lever arm."""
+    rng = np.random.default_rng(seed)
+    x = rng.normal(size=20) * np.repeat([2e3, 10.0, 0.0, 0.02, 0.2, 1.0], [3, 3, 4, 3, 3, 4])
+    x[6:10] = euler_to_quat(rng.uniform(-3, 3), rng.uniform(-1.2, 1.2), rng.uniform(-3, 3))
+    u = np.concatenate([rng.normal(size=3), rng.normal(size=3) * 4.0 + [0.0, 0.0, -9.8]])
+    parameters = PARAMETERS.get(name, lambda x: np.empty(0))(x)
+    r, _ = model_of(name)(x, u, np.zeros(m), parameters)
+    # the measurement is near to what the state predicts, as it is in flight
+    return x, u, -r + 0.01 * rng.normal(size=m), parameters
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize(("name", "m"), CASES)
+def test_jacobian_is_the_derivative(name: str, m: int, seed: int) -> None:
+    x, u, z, parameters = random_case(name, m, seed)
+    model = model_of(name)
+    r, H = model(x, u, z, parameters)
+    assert r.shape == (m,)
+    assert H.shape == (m, CANONICAL_SIZE)
+    steps = np.repeat([1.0, 1e-2, 1e-5, 1e-4, 1e-3, 1e-2, 1e-3], [3, 3, 3, 3, 3, 3, 1])
+    numeric = np.empty_like(H)
+    for i, h in enumerate(steps):
+        ends = []
+        for sign in (1.0, -1.0):
+            y, d = x.copy(), np.zeros(CANONICAL_SIZE)
+            d[i] = sign * h
+            boxplus(y, d, EVERY)
+            ends.append(model(y, u, z, parameters)[0])
+        numeric[:, i] = -(ends[0] - ends[1]) / (2 * h)
+    # that the local level frame turns with the place (some 1e-7 rad/m) may be left out
+    assert_allclose(H[:, : TAU.start], numeric[:, : TAU.start], atol=1e-6, rtol=1e-7)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize(("name", "m"), [case for case in CASES if case[0].startswith("gnss")])
+def test_delay_moves_the_measurement_back_in_time(name: str, m: int, seed: int) -> None:
+    """H_tau = -dh/dt along the motion that the IMU reads; the Earth's small rate may be left out."""
+    x, u, z, parameters = random_case(name, m, seed)
+    model = model_of(name)
+    h = 1e-3
+    ends = []
+    for dt in (h, -h):
+        y = x.copy()
+        w, f = (tuple(part.tolist()) for part in (u[:3] - x[10:13], u[3:] - x[13:16]))
+        phi, dv = ins.increments_from_rates(w, f, w, f, dt)
+        ins.mechanize(y, phi, dv, dt, FRAME.r0_e, FRAME.C_ne, FRAME.w_ie_n, np.empty((3, 3)))
+        ends.append(model(y, u, z, parameters)[0])
+    moved = -(ends[0] - ends[1]) / (2 * h)
+    assert_allclose(model(x, u, z, parameters)[1][:, TAU.start], -moved, atol=8e-3)
+
+
+def state_at(x: FloatArray, u: FloatArray, size: int) -> FilterState:
+    rng = np.random.default_rng(size)
+    A = rng.normal(size=(size, size))
+    scale = np.full(size, 0.5)
+    scale[6:9] = 0.01
+    P = (A @ A.T / size + np.eye(size)) * scale[:, None] * scale
+    return FilterState(x, 0.5 * (P + P.T), u, 1_000_000)
+
+
+@pytest.mark.parametrize("filter_name", FILTERS)
+@pytest.mark.parametrize(("name", "m"), CASES)
+def test_every_filter_takes_every_aiding(filter_name: str, name: str, m: int) -> None:
+    x, u, z, parameters = random_case(name, m, 9)
+    algorithm = make(filter_name, NOISE)
+    state = state_at(x, u, algorithm.layout.size)
+    before = state.copy()
+    r, H = model_of(name)(x, u, z, parameters)
+    R, sigma = np.eye(m) * 0.1**2, np.empty(m)
+    nis = algorithm.update(state, r, H, R, math.inf, sigma)
+    h = H[:, algorithm.layout.columns]
+    S = h @ before.P @ h.T + R
+    assert nis == pytest.approx(r @ np.linalg.solve(S, r), rel=1e-6)
+    assert_allclose(sigma, np.sqrt(np.diag(S)), rtol=1e-9)
+    assert np.trace(state.P) < np.trace(before.P)
+    assert_array_equal(state.P, state.P.T)
+    assert np.linalg.eigvalsh(state.P)[0] > 0.0
+    assert not np.array_equal(state.x, before.x)
+    after, _ = model_of(name)(state.x, u, z, parameters)
+    assert np.linalg.norm(after) < np.linalg.norm(r)
+
+
+@pytest.mark.parametrize("filter_name", FILTERS)
+@pytest.mark.parametrize(("name", "m"), CASES)
+@pytest.mark.parametrize("why", ["gate", "closed", "nan", "noise"])
+def test_what_is_refused_leaves_no_trace(filter_name: str, name: str, m: int, why: str) -> None:
+    x, u, z, parameters = random_case(name, m, 9)
+    algorithm = make(filter_name, NOISE)
+    state = state_at(x, u, algorithm.layout.size)
+    before = state.copy()
+    r, H = model_of(name)(x, u, z, parameters)
+    R = np.eye(m) * 0.1**2
+    gate = {"gate": 1e-9, "closed": 0.0}.get(why, 1e6)
+    if why == "nan":
+        r[0] = math.nan
+    if why == "noise":
+        R[0, 0] = -1.0
+    nis = algorithm.update(state, r, H, R, gate, np.empty(m))
+    assert not nis <= gate
+    for now, then in ((state.x, before.x), (state.P, before.P), (state.u, before.u)):
+        assert_array_equal(now, then)
+    assert state.t_us == before.t_us
