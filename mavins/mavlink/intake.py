@@ -7,7 +7,7 @@ log. Neighbouring IMU packets go on as one table; the outcome does not depend on
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable
 from typing import Any, ClassVar, Final, Protocol
 
@@ -40,6 +40,8 @@ HEARTBEAT_WAIT_US: Final = 3_000_000
 PAIR_US: Final = 1_500_000
 """GPS_RAW_INT lends GLOBAL_POSITION_INT its fix type and accuracies up to this age."""
 VERTICAL_US: Final = 250_000
+REMEMBERED: Final = 50
+"""So many stamps of fixes and headings are kept to know a repeated one by."""
 
 _OTHER_IDS: Final = np.array(
     sorted(
@@ -101,7 +103,8 @@ class Intake:
         self._quality: GpsRaw | None = None
         self._quality_us = 0
         self._vertical: tuple[int, float] | None = None
-        self._fix_stamp: int | None = None
+        self._fix_stamps: deque[int] = deque(maxlen=REMEMBERED)
+        self._heading_stamps: deque[int] = deque(maxlen=REMEMBERED)
         self._heading_stamp: int | None = None
         self._handlers: dict[str, Callable[[Any, int], None]] = {
             "HEARTBEAT": self._heartbeat,
@@ -215,7 +218,8 @@ class Intake:
         """A reboot voids every stamp that was kept."""
         self._quality = None
         self._vertical = None
-        self._fix_stamp = None
+        self._fix_stamps.clear()
+        self._heading_stamps.clear()
         self._heading_stamp = None
 
     # ---- everything else ---------------------------------------------------------------------------------------
@@ -357,13 +361,13 @@ class Intake:
     ) -> None:
         """Hand a fix over, once per stamp."""
         assert self.sources is not None
-        if message.stamp_us == self._fix_stamp:
+        if message.stamp_us in self._fix_stamps:
             self.dropped[f"{message.kind} repeated stamp"] += 1
             return
         t_us = self._time_of(message, received_us)
         if t_us is None:
             return
-        self._fix_stamp = message.stamp_us
+        self._fix_stamps.append(message.stamp_us)
         utc = is_unix(message.stamp_us) and not is_unix(self.clock.newest_us or 0)
         fix = GnssFix(
             t_us=t_us,
@@ -392,12 +396,16 @@ class Intake:
     ) -> None:
         """Hand a heading over, no oftener than the sources allow."""
         assert self.sources is not None
+        if message.stamp_us in self._heading_stamps:
+            self.dropped[f"{message.kind} repeated stamp"] += 1
+            return
         if self._too_soon(message.stamp_us):
             return
         t_us = self._time_of(message, received_us)
         if t_us is None:
             return
         self._heading_stamp = message.stamp_us
+        self._heading_stamps.append(message.stamp_us)
         self.estimator.feed_heading(
             HeadingFix(t_us, yaw, sigma, source, self.sources.heading_delay)
         )

@@ -9,13 +9,24 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from pymavlink.dialects.v20 import all as dialect
 
 from mavins.config import Config
+from mavins.mavlink.codec import (
+    Payload,
+    attitude,
+    frame,
+    global_position_int,
+    gps_raw_int,
+    heartbeat,
+    highres_imu,
+)
 from mavins.mavlink.session import Session
 from mavins.replay import ReplayOptions, replay
 from mavins.service import Service
+from mavins.types import GnssFix, ImuSample
 from sitl import scenario
 from sitl.emitter import packets
 from sitl.simulation import START_US, Simulation
@@ -152,6 +163,63 @@ class Rig:
         out = self.log.parent / f"replayed_{sysid}"
         replay(self.log, out, self.config, ReplayOptions(sysid=sysid))
         return out / "eskf"
+
+
+class Standing:
+    """The packets of a vehicle that stands still: 50 Hz IMU, 10 Hz heading, 5 Hz fixes, 1 Hz heartbeat.
+
+    A test sets what it wants otherwise; `packets` goes on from where it was.
+    """
+
+    LAT, LON, ALT = math.radians(47.4), math.radians(8.5), 500.0
+
+    def __init__(self, sysid: int = 1, address: Any = VEHICLE, boot_us: int = 1_000_000) -> None:
+        self.sysid = sysid
+        self.address = address
+        self.t_us = boot_us
+        self.unix_us = UNIX_US
+        self.autopilot = 0
+        self.lat, self.lon, self.alt = self.LAT, self.LON, self.ALT
+        self.fix_type = 3
+        self.fix_stamp: int | None = None
+        self.yaw = 0.3
+        self._seq = 0
+
+    def packet(self, payload: Payload) -> bytes:
+        """The next packet of this vehicle."""
+        packet = frame(payload, self.sysid, 1, self._seq)
+        self._seq = (self._seq + 1) % 256
+        return packet
+
+    def payloads(self) -> Iterator[Payload]:
+        """What is due at `t_us`."""
+        t_us = self.t_us
+        step = t_us // 20_000
+        if step % 50 == 0:
+            yield heartbeat(2, self.autopilot)
+        yield highres_imu(ImuSample(t_us, np.array([0.0, 0.0, -9.808]), np.zeros(3)))
+        if step % 5 == 0:
+            yield attitude(t_us, 0.0, 0.0, self.yaw, (0.0, 0.0, 0.0))
+        if step % 10 == 0:
+            stamp = t_us if self.fix_stamp is None else self.fix_stamp
+            v_l = (0.0, 0.0, 0.0)
+            fix = GnssFix(
+                stamp, self.lat, self.lon, self.alt, v_l, self.fix_type, 12, 0.5, 0.8, 0.1
+            )
+            yield gps_raw_int(fix)
+            yield global_position_int(stamp, self.lat, self.lon, self.alt, 0.0, v_l, None)
+
+    def packets(self, seconds: float) -> Iterator[Arrival]:
+        """The next seconds, one packet per datagram."""
+        for _ in range(round(seconds * 50)):
+            for payload in self.payloads():
+                yield self.unix_us + self.t_us, self.address, self.packet(payload)
+            self.t_us += 20_000
+
+
+@pytest.fixture
+def standing() -> Callable[..., Standing]:
+    return Standing
 
 
 @pytest.fixture
