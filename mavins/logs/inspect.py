@@ -6,6 +6,7 @@ Rates of messages are by reception, those of the IMU by its own stamps.
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from typing import Final
 
@@ -16,7 +17,6 @@ from mavins.estimator.settings import GnssSettings, HeadingSettings
 from mavins.logs.truth import truth_of
 from mavins.mavlink.clock import Clock, is_unix
 from mavins.mavlink.codec import (
-    IMU_KINDS,
     WRAPPING_IMU_KINDS,
     Damage,
     Frames,
@@ -25,16 +25,14 @@ from mavins.mavlink.codec import (
     name_of,
     payload_rows,
 )
+from mavins.mavlink.imu_source import IMU_IDS, ImuSource
 from mavins.mavlink.sources import Sources, SourceSettings, resolve
 from mavins.types import IntArray
 
 GAP_FACTOR: Final = 3.0
 """An IMU interval longer than so many median intervals is a gap."""
-CHOICE_US: Final = 1_000_000
-"""The best IMU message of a vehicle is chosen among those of its first second."""
 RECEPTION_JUMP_US: Final = 10_000_000
 _MAV_AUTOPILOT_INVALID: Final = 8
-_IMU_IDS: Final = np.array(list(IMU_KINDS), np.int64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +121,7 @@ def inspect(frames: Frames) -> LogReport:
 
 def imu_systems(frames: Frames) -> list[int]:
     """The system ids that send an IMU, in the order of their first one."""
-    sysids = frames.sysid[np.isin(frames.msgid, _IMU_IDS)]
+    sysids = frames.sysid[np.isin(frames.msgid, IMU_IDS)]
     found, first = np.unique(sysids, return_index=True)
     return [int(sysid) for sysid in found[np.argsort(first)]]
 
@@ -221,23 +219,17 @@ def _vehicle(frames: Frames, sysid: int) -> VehicleReport | None:
 
 
 def _choose_imu(frames: Frames, sysid: int) -> tuple[int, str, int, IntArray] | None:
-    """(compid, message, sensor id, indices): the best message of the component that sent an IMU
-    first.
-    """
-    at = np.flatnonzero((frames.sysid == sysid) & np.isin(frames.msgid, _IMU_IDS))
-    at = at[decode_imu(frames, at).valid]
-    if not len(at):
+    """(compid, message, sensor id, indices) of the IMU that the intake would choose."""
+    at = np.flatnonzero((frames.sysid == sysid) & np.isin(frames.msgid, IMU_IDS))
+    source = ImuSource(Counter())
+    for i in at.tolist():
+        if source.offer(frames, i):
+            break
+    if source.chosen is None or source.compid is None:
         return None
-    compid = int(frames.compid[at[0]])
-    at = at[frames.compid[at] == compid]
-    early = frames.msgid[at[frames.t_us[at] <= frames.t_us[at[0]] + CHOICE_US]]
-    msgid = next(msgid for msgid in IMU_KINDS if (early == msgid).any())
-    of_kind = np.flatnonzero(
-        (frames.sysid == sysid) & (frames.compid == compid) & (frames.msgid == msgid)
-    )
-    usable = at[frames.msgid[at] == msgid]
-    imu_id = int(decode_imu(frames, usable[:1]).imu_id[0])
-    return compid, IMU_KINDS[msgid], imu_id, of_kind
+    msgid, imu_id = source.chosen
+    of_kind = at[(frames.msgid[at] == msgid) & (frames.compid[at] == source.compid)]
+    return source.compid, source.name, imu_id, of_kind
 
 
 def _heartbeat(frames: Frames, sysid: int, compid: int) -> tuple[int | None, int | None]:

@@ -84,6 +84,11 @@ class ImuTimes:
     zero_stamps: int
     wild_stamps: int
 
+    @property
+    def regular(self) -> bool:
+        """True where every row is kept and nothing happened between them."""
+        return not (self.events or self.zero_stamps or self.wild_stamps)
+
 
 class Clock:
     """The clock of one vehicle. Feed it each IMU row and SYSTEM_TIME; ask it for the time of

@@ -188,7 +188,7 @@ class Intake:
         received_us = samples.received_us[part]
         accel_b, gyro_b = samples.accel_b[part], samples.gyro_b[part]
         times = self.clock.map_imu(samples.stamp_us[part], received_us, self.imu.wraps)
-        if times.keep.all() and not times.events:
+        if times.regular:
             self.estimator.feed_imu(ImuTable(times.t_us, accel_b, gyro_b))
         else:
             self.dropped["IMU zero stamp"] += times.zero_stamps

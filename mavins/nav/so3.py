@@ -177,12 +177,21 @@ def euler_to_quat(roll: float, pitch: float, yaw: float) -> FloatArray:
 
 @kernel
 def quat_to_euler(q: FloatArray) -> FloatArray:
-    """[roll, pitch, yaw] in radians of q_nb; pitch in [-pi/2, pi/2], roll and yaw in (-pi, pi]."""
+    """[roll, pitch, yaw] in radians of q_nb; pitch in [-pi/2, pi/2], roll and yaw in (-pi, pi].
+
+    Straight up or down, where only yaw -+ roll is defined, roll is zero.
+    """
     w, x, y, z = q[0], q[1], q[2], q[3]
     euler = np.empty(3)
-    euler[0] = math.atan2(2.0 * (y * z + w * x), w * w - x * x - y * y + z * z)
-    euler[1] = math.asin(min(1.0, max(-1.0, 2.0 * (w * y - x * z))))
-    euler[2] = math.atan2(2.0 * (x * y + w * z), w * w + x * x - y * y - z * z)
+    north, east = w * w + x * x - y * y - z * z, 2.0 * (x * y + w * z)
+    level = math.sqrt(north * north + east * east)
+    euler[1] = math.atan2(2.0 * (w * y - x * z), level)
+    if level < 1e-12:
+        euler[0] = 0.0
+        euler[2] = math.atan2(2.0 * (w * z - x * y), w * w - x * x + y * y - z * z)
+    else:
+        euler[0] = math.atan2(2.0 * (y * z + w * x), w * w - x * x - y * y + z * z)
+        euler[2] = math.atan2(east, north)
     return euler
 
 

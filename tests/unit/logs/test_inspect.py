@@ -110,7 +110,7 @@ def test_the_better_imu_of_the_first_second_is_chosen() -> None:
     ]
     (vehicle,) = inspect(log(*raw)).vehicles
     assert (vehicle.imu, vehicle.imu_id) == ("RAW_IMU", 1)
-    (vehicle,) = inspect(log(*raw, *flight()[1:])).vehicles
+    (vehicle,) = inspect(log(*sorted([*raw, *flight()[1:]], key=lambda record: record[0]))).vehicles
     assert vehicle.imu == "HIGHRES_IMU"
 
 
