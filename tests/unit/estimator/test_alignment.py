@@ -1,0 +1,110 @@
+"""The first attitude: exact where the data are, and a covariance that is as large as the errors."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from mavins.estimator.alignment import Start, initial_state, level
+from mavins.nav.layout import Layout, boxminus
+from mavins.nav.so3 import euler_to_quat, quat_to_dcm, quat_to_euler
+from mavins.types import FloatArray
+
+GRAVITY = np.array([0.0, 0.0, -9.81])
+RNG = np.random.default_rng(21)
+ATTITUDES = [
+    np.zeros(3),
+    np.array([3.0, 0.1, -2.0]),
+    *RNG.uniform([-3.1, -1.4, -3.1], [3.1, 1.4, 3.1], (20, 3)),
+]
+
+
+@pytest.mark.parametrize("euler", ATTITUDES)
+def test_a_standing_vehicle_is_levelled_exactly(euler: FloatArray) -> None:
+    q = euler_to_quat(*euler)
+    f_b = quat_to_dcm(q).T @ GRAVITY
+    assert_allclose(quat_to_dcm(level(f_b, GRAVITY, euler[2])), quat_to_dcm(q), atol=1e-12)
+
+
+@pytest.mark.parametrize("euler", ATTITUDES[:1] + ATTITUDES[2:])
+def test_an_accelerating_vehicle_is_levelled_exactly(euler: FloatArray) -> None:
+    # of both pitches that explain the force, the one nearer to level is taken: the true one is not far from it
+    euler = euler * [1.0, 0.5, 1.0]
+    push = GRAVITY + RNG.normal(size=3) * [1.5, 1.5, 0.5]
+    q = euler_to_quat(*euler)
+    f_b = quat_to_dcm(q).T @ push
+    assert_allclose(quat_to_dcm(level(f_b, push, euler[2])), quat_to_dcm(q), atol=1e-12)
+
+
+def test_the_size_of_the_force_does_not_matter() -> None:
+    q = euler_to_quat(0.2, -0.3, 1.0)
+    f_b = 1.07 * (quat_to_dcm(q).T @ GRAVITY)
+    assert_allclose(quat_to_dcm(level(f_b, GRAVITY, 1.0)), quat_to_dcm(q), atol=1e-12)
+
+
+def test_a_force_that_no_pitch_explains_gives_the_nearest() -> None:
+    q = level(np.array([9.81, 0.0, 0.0]), GRAVITY, 0.0)
+    assert_allclose(abs(quat_to_euler(q)[1]), math.pi / 2, atol=1e-6)
+    assert np.all(np.isfinite(level(np.array([9.0, 1e-9, 0.0]), GRAVITY + np.eye(3)[0] * 3.0, 0.3)))
+
+
+def start(euler: FloatArray, accel_b: FloatArray, yaw: float) -> Start:
+    return Start(
+        accel_b=accel_b,
+        push_n=GRAVITY,
+        yaw_n=yaw,
+        p_n=np.array([1.0, 2.0, 3.0]),
+        R_p=np.diag([0.5, 0.5, 0.8]) ** 2,
+        v_n=np.array([0.1, 0.2, 0.3]),
+        R_v=np.eye(3) * 0.1**2,
+        b_g=np.array([0.01, 0.0, -0.01]),
+        sigma_b_g=0.01,
+        sigma_b_a=0.05,
+        sigma_tilt=2e-3,
+        sigma_yaw=0.03,
+        lever_b=np.array([0.2, 0.0, -0.1]),
+    )
+
+
+@pytest.mark.parametrize(
+    "euler", [np.zeros(3), np.array([0.3, -0.4, 2.0]), np.array([-0.9, 0.7, -1.0])]
+)
+def test_initial_covariance_is_that_of_the_errors(euler: FloatArray) -> None:
+    rng = np.random.default_rng(4)
+    runs = 4000
+    q = euler_to_quat(*euler)
+    f_b = quat_to_dcm(q).T @ GRAVITY
+    truth = np.zeros(20)
+    truth[6:10] = q
+    columns = Layout.of().columns
+    errors = np.empty((runs, 15))
+    for k in range(runs):
+        b_a = rng.normal(size=3) * 0.05
+        noise = rng.normal(size=3) * 2e-3 * 9.81
+        s = start(euler, f_b + b_a + noise, euler[2] + 0.03 * rng.normal())
+        x, P = initial_state(s, 15)
+        truth[13:16] = b_a
+        errors[k] = boxminus(truth, x, columns)
+    found = np.cov(errors[:, [6, 7, 8, 12, 13, 14]].T)
+    _, P = initial_state(start(euler, f_b, euler[2]), 15)
+    expected = P[np.ix_([6, 7, 8, 12, 13, 14], [6, 7, 8, 12, 13, 14])]
+    scale = np.sqrt(np.diag(expected))
+    # 4 sigmas of a sampled correlation, and what tilts of a few mrad leave to the second order
+    assert_allclose(found / scale / scale[:, None], expected / scale / scale[:, None], atol=0.08)
+
+
+def test_the_first_state_is_what_was_measured() -> None:
+    euler = np.array([0.1, 0.2, 0.3])
+    s = start(euler, quat_to_dcm(euler_to_quat(*euler)).T @ GRAVITY, 0.3)
+    x, P = initial_state(s, 15)
+    C = quat_to_dcm(x[6:10])
+    assert_allclose(x[:3] + C @ s.lever_b, s.p_n)
+    assert_allclose(x[3:6], s.v_n)
+    assert_allclose(x[10:13], s.b_g)
+    assert_allclose(x[16:19], s.lever_b)
+    assert_allclose(np.diag(P)[:3], [0.25, 0.25, 0.64])
+    assert_allclose(P, P.T)
+    assert np.linalg.eigvalsh(P)[0] > 0.0
