@@ -87,6 +87,7 @@ class Estimator:
         self.dropped: Counter[str] = Counter()
         self.imu_rows = 0
         self.realignments = 0
+        self.loss = ""
         self._resets_before = 0
         self._aligner = Aligner(settings)
         self._line = self._new_line()
@@ -283,6 +284,7 @@ class Estimator:
         had_estimate = self.running
         self._resets_before = self.reset_counter + had_estimate
         self.realignments += had_estimate
+        self.loss = reason if had_estimate else self.loss
         self.finish()
         self._aligner = Aligner(self.settings)
         self._line = self._new_line()

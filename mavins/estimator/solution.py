@@ -69,7 +69,7 @@ def solution_of(
 ) -> NavSolution:
     """The navigation solution of one state."""
     row = np.empty((1, WIDTH))
-    P = np.ascontiguousarray(state.P[:15, :15])
+    P = state.P[:15, :15].copy()
     describe(state.x[np.newaxis], P[np.newaxis], frame.r0_e, frame.C_ne, row)
     r = row[0]
     x, u = state.x, state.u

@@ -21,6 +21,8 @@ from mavins.mavlink.streams import Home, Streams, sys_status_of
 from mavins.types import GnssFix, Health, Origin
 
 HEARTBEAT_US: Final = 1_000_000
+REASON_US: Final = 2_000_000
+"""A reason that lasts this long is worth a text."""
 MAV_TYPE_GENERIC: Final = 0
 MAV_AUTOPILOT_GENERIC: Final = 0
 MAV_STATE_CRITICAL: Final = 5
@@ -40,6 +42,10 @@ _SEVERITY: Final = {
     Health.DIVERGED: 3,
 }
 """Health -> MAV_SEVERITY: info, warning, error."""
+
+
+def _name(health: Health) -> str:
+    return health.name.lower().replace("_", " ")
 
 
 @dataclass(slots=True)
@@ -66,11 +72,14 @@ class Vehicle:
     streams: Streams = field(init=False)
     _imu_us: int = field(init=False)
     _imu_rows: int = 0
-    _said: tuple[Health, int] = (Health.WAITING, 0)
+    _said: tuple[Health, int, int] = (Health.WAITING, 0, 0)
     _fix: GnssFix | None = None
     _heartbeat_us: int | None = None
     _sys_status_us: int | None = None
     _text_id: int = 0
+    _reason: str = ""
+    _reason_us: int = 0
+    _reason_said: str = ""
 
     def __post_init__(self) -> None:
         self.streams = Streams(self.stream_settings)
@@ -86,7 +95,7 @@ class Vehicle:
 
     def tick(self, now_us: int) -> list[Payload]:
         """What is due by our own clock: HEARTBEAT and SYS_STATUS, and a word when the vehicle falls silent."""
-        due = self._silence_news(now_us)
+        due = [*self._silence_news(now_us), *self._reason_news(now_us)]
         if self._heartbeat_us is None or now_us - self._heartbeat_us >= HEARTBEAT_US:
             self._heartbeat_us = now_us
             state = MAV_STATE_CRITICAL if self.lack else _STATE[self.estimator.health]
@@ -128,6 +137,17 @@ class Vehicle:
         self.lack = lack
         return self._text(f"mavins: vehicle {self.sysid} {lack or 'is back'}", 4 if lack else 6)
 
+    def _reason_news(self, now_us: int) -> list[Payload]:
+        """A text where there is no estimate, once the same thing has been lacking for a while."""
+        reason = "" if self.estimator.running or self.lack else self.estimator.reason
+        if reason != self._reason:
+            self._reason = reason
+            self._reason_us = now_us
+        if not reason or reason == self._reason_said or now_us - self._reason_us < REASON_US:
+            return []
+        self._reason_said = reason
+        return self._text(f"mavins {_name(self.estimator.health)}: {reason}", 6)
+
     def set_origin(self, origin: Origin) -> list[Payload]:
         """Put the origin of n there; returns the announcement."""
         self.estimator.set_origin(origin)
@@ -141,17 +161,22 @@ class Vehicle:
             solution = estimator.solution()
             if solution is not None:
                 self.home = Home.at(solution)
-        before_health, before_resets = self._said
-        health, resets = estimator.health, estimator.reset_counter
-        if (health, resets) == self._said:
+        before_health, before_resets, before_losses = self._said
+        health, resets, losses = (
+            estimator.health,
+            estimator.reset_counter,
+            estimator.realignments,
+        )
+        if (health, resets, losses) == self._said:
             return []
-        self._said = (health, resets)
+        self._said = (health, resets, losses)
         texts: list[Payload] = []
+        if losses != before_losses:
+            texts += self._text(f"mavins estimate lost: {estimator.loss}", 4)
         if health != before_health:
+            self._reason_said = estimator.reason
             reason = f": {estimator.reason}" if estimator.reason else ""
-            texts += self._text(
-                f"mavins {health.name.lower().replace('_', ' ')}{reason}", _SEVERITY[health]
-            )
+            texts += self._text(f"mavins {_name(health)}{reason}", _SEVERITY[health])
         if resets != before_resets:
             texts += self._text(f"mavins estimate reset ({resets})", 4)
         return texts

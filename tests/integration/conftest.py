@@ -22,6 +22,7 @@ from mavins.mavlink.codec import (
     gps_raw_int,
     heartbeat,
     highres_imu,
+    system_time,
 )
 from mavins.mavlink.session import Session
 from mavins.replay import ReplayOptions, replay
@@ -197,6 +198,7 @@ class Standing:
         step = t_us // 20_000
         if step % 50 == 0:
             yield heartbeat(2, self.autopilot)
+            yield system_time(self.unix_us + t_us, t_us)
         yield highres_imu(ImuSample(t_us, np.array([0.0, 0.0, -9.808]), np.zeros(3)))
         if step % 5 == 0:
             yield attitude(t_us, 0.0, 0.0, self.yaw, (0.0, 0.0, 0.0))

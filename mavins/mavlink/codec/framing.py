@@ -236,6 +236,17 @@ def _header(data: NDArray[np.uint8], start: int, wire: IntArray, row: IntArray) 
 
 
 @kernel
+def _hides_intact(
+    data: NDArray[np.uint8], start: int, end: int, wire: IntArray, scratch: IntArray
+) -> bool:
+    """True where an intact packet begins inside data[start:end], which only looks like a packet."""
+    for k in range(start + 1, end):
+        if (data[k] == STX_V2 or data[k] == STX_V1) and _header(data, k, wire, scratch) == _INTACT:
+            return True
+    return False
+
+
+@kernel
 def _walk(
     data: NDArray[np.uint8], lead: int, received_us: int, wire: IntArray, table: IntArray
 ) -> tuple[int, int, int, int, int]:
@@ -245,6 +256,7 @@ def _walk(
     """
     size = data.size
     row = np.zeros(9, np.int64)
+    scratch = np.zeros(9, np.int64)
     row[T_US] = received_us
     count = bad_crc = unknown = skipped = truncated = 0
     done = 0  # all before is accounted for
@@ -260,6 +272,9 @@ def _walk(
                 aligned = row[END] == size or (
                     follows < size and (data[follows] == STX_V2 or data[follows] == STX_V1)
                 )
+            if verdict == _UNKNOWN and aligned:
+                # the rest of a truncated packet and the next one together may look like that
+                aligned = not _hides_intact(data, start, int(row[END]), wire, scratch)
             truncated += verdict == _TRUNCATED and start == expected
             bad_crc += verdict == _DAMAGED and (start == expected or aligned)
         if verdict == _INTACT or (verdict == _UNKNOWN and aligned):
