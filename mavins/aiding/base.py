@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 from mavins.types import FloatArray
 
@@ -14,8 +13,7 @@ Model: TypeAlias = Callable[
 """(x (20,), u (6,), z (m,), parameters) -> (residual z - h(x) (m,), H = d h / d canonical errors (m, 19))."""
 
 
-@dataclass(frozen=True, slots=True)
-class Measurement:
+class Measurement(NamedTuple):
     """One measurement, ready to be fused at its own valid time.
 
     `z` (m,) with noise `R` (m, m); `model` gives residual and Jacobian, with `parameters` for what it needs

@@ -22,6 +22,7 @@ from mavins.types import FloatArray, GnssFix
 
 NAME = "gnss_velocity"
 RANK = 1
+_ISOTROPIC = {m: np.eye(m) for m in (2, 3)}
 
 
 @kernel
@@ -106,7 +107,7 @@ def measure(
         fix.t_us,
         t_us,
         np.array(fix.v_l[:m]),
-        np.eye(m) * sigma**2,
+        _ISOTROPIC[m] * sigma**2,
         surroundings(fix.lat, fix.lon, fix.alt, frame.r0_e, frame.C_ne),
         model,
         gate,

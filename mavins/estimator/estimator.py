@@ -161,8 +161,8 @@ class Estimator:
         quality = objection(fix, self.settings.gnss)
         if not quality and fix.v_l is not None and not math.isnan(fix.v_l[0]):
             self._aligner.standing.see_speed(math.hypot(fix.v_l[0], fix.v_l[1]))
-        self._aligner.see_fix(fix, t_us)
         if not self.running or self.frame is None:
+            self._aligner.see_fix(fix, t_us)
             return
         settings = self.settings.gnss
         noise = noise_of(fix, settings)
@@ -176,8 +176,8 @@ class Estimator:
     def feed_heading(self, fix: HeadingFix) -> None:
         """Take a heading."""
         t_us = fix.t_us - round(fix.delay * 1e6)
-        self._aligner.see_heading(fix, t_us)
         if not self.running or self.frame is None:
+            self._aligner.see_heading(fix, t_us)
             return
         sigma = self.heading_sigma(fix)
         self._take(heading.measure(fix, t_us, self.frame, sigma, self.settings.heading.gate))

@@ -172,26 +172,32 @@ class Timeline:
             event = self._events[i] if i < len(self._events) else None
             if event is not None and event.order[0] > newest:
                 event = None
-            last = end if event is None else buffer.row_after(event.order[0])
-            while first < last:
-                part = min(last, first + LONGEST_RUN)
-                self._walk(state, frame, first, part, grid_us)
-                first = part
-                if first < last:
-                    self._snapshot(state)
+            until = newest if event is None else event.order[0]
+            last = end if event is None else buffer.row_after(until)
+            while last - first > LONGEST_RUN:
+                first += LONGEST_RUN
+                stamp = int(buffer.times(first - 1, first)[0])
+                self._walk(state, frame, first - LONGEST_RUN, first, stamp, grid_us)
+                self._snapshot(state)
+            if until > state.t_us:
+                # all events so far are in: a place to come back to
+                self._snapshot(state)
+                self._walk(state, frame, first, min(last + 1, end), until, grid_us)
+            first = last
             if event is None:
                 break
-            if event.order[0] > state.t_us:
-                # all events up to here are in: a place to come back to
-                self._snapshot(state)
-                reading = buffer.reading_at(event.order[0])
-                self._filter.advance(state, frame, event.order[0], reading)
             self.fusion.fuse(state, event)
             i += 1
         self._snapshot(state)
 
     def _walk(
-        self, state: FilterState, frame: TangentFrame, first: int, end: int, grid_us: int
+        self,
+        state: FilterState,
+        frame: TangentFrame,
+        first: int,
+        end: int,
+        until_us: int,
+        grid_us: int,
     ) -> None:
         buffer, rows = self.buffer, self._rows
         previous = state.t_us if first == buffer.first else int(buffer.times(first - 1, first)[0])
@@ -200,6 +206,7 @@ class Timeline:
             frame,
             buffer.times(first, end),
             buffer.readings(first, end),
+            until_us,
             previous,
             grid_us,
             rows,

@@ -78,20 +78,19 @@ class Filter(Protocol):
         frame: TangentFrame,
         t_us: IntArray,
         imu: FloatArray,
+        until_us: int,
         previous_us: int,
         grid_us: int,
         rows: RowBlock,
     ) -> None:
         """Move `state` through IMU rows: stamps `t_us` (N,), readings `imu` (N, 6) as in FilterState.u.
 
+        All rows up to `until_us` are walked; if the last row lies beyond it, the state goes on to that instant,
+        with the reading on the line to that row.
+
         A row is appended to `rows` for the first stamp at or after each multiple of `grid_us` (every stamp if 0,
         none if negative); `previous_us` is the stamp of the IMU row before the first.
         """
-
-    def advance(
-        self, state: FilterState, frame: TangentFrame, t_us: int, reading: FloatArray
-    ) -> None:
-        """Move `state` to an instant between two IMU rows, where the reading (6,) has been interpolated."""
 
     def update(
         self,

@@ -80,6 +80,7 @@ def walk_rows(
     r0_e: FloatArray,
     C_ne: FloatArray,
     w_ie_n: FloatArray,
+    until_us: int,
     previous_us: int,
     grid_us: int,
     out_t: IntArray,
@@ -93,6 +94,14 @@ def walk_rows(
     t = start_us
     before = previous_us
     for k in range(len(t_us)):
+        if t_us[k] > until_us:
+            if until_us > t:
+                s = (until_us - t) / (t_us[k] - t)
+                reading = np.empty(6)
+                for i in range(6):
+                    reading[i] = u[i] + s * (imu[k, i] - u[i])
+                step(x, P, u, reading, until_us - t, noise, r0_e, C_ne, w_ie_n, work)
+            break
         step(x, P, u, imu[k], t_us[k] - t, noise, r0_e, C_ne, w_ie_n, work)
         t = t_us[k]
         if grid_us == 0 or (grid_us > 0 and t // grid_us > before // grid_us):
@@ -137,7 +146,6 @@ class Eskf:
     def __init__(self, noise: ImuNoise, layout: Layout | None = None) -> None:
         self.layout = layout or Layout.of()
         self._noise = noise.as_array()
-        self._no_rows = RowBlock.empty(1)
 
     def walk(
         self,
@@ -145,13 +153,12 @@ class Eskf:
         frame: TangentFrame,
         t_us: IntArray,
         imu: FloatArray,
+        until_us: int,
         previous_us: int,
         grid_us: int,
         rows: RowBlock,
     ) -> None:
         """Move through IMU rows."""
-        if len(t_us) == 0:
-            return
         rows.count = walk_rows(
             state.x,
             state.P,
@@ -163,6 +170,7 @@ class Eskf:
             frame.r0_e,
             frame.C_ne,
             frame.w_ie_n,
+            until_us,
             previous_us,
             grid_us,
             rows.t_us,
@@ -171,14 +179,7 @@ class Eskf:
             rows.P,
             rows.count,
         )
-        state.t_us = int(t_us[-1])
-
-    def advance(
-        self, state: FilterState, frame: TangentFrame, t_us: int, reading: FloatArray
-    ) -> None:
-        """Move to an instant between two rows: a walk of one row that is not a sample."""
-        stamp = np.array([t_us], dtype=np.int64)
-        self.walk(state, frame, stamp, reading[np.newaxis], t_us, -1, self._no_rows)
+        state.t_us = until_us
 
     def update(
         self,

@@ -32,7 +32,7 @@ def walk(
     algorithm: Eskf, state: FilterState, t_us: list[int], imu: FloatArray, grid_us: int = -1
 ) -> RowBlock:
     rows = RowBlock.empty(len(t_us))
-    algorithm.walk(state, FRAME, np.array(t_us), imu, state.t_us, grid_us, rows)
+    algorithm.walk(state, FRAME, np.array(t_us), imu, t_us[-1], state.t_us, grid_us, rows)
     return rows
 
 
@@ -54,16 +54,18 @@ def test_covariance_after_a_million_steps(noise: ImuNoise) -> None:
     H = np.zeros((3, 19))
     H[:, :3] = np.eye(3)
     R = np.eye(3) * 0.02**2
-    q_ln = np.array([1.0, 0.0, 0.0, 0.0])
+    place = np.concatenate([FRAME.r0_e, FRAME.C_ne.ravel()])
     t = np.arange(1, run + 1) * 4000
     rows = RowBlock.empty(1)
     shake = np.repeat([0.3, 3.0], 3) * rng.normal(size=(run, 6))
     shake -= shake.mean(axis=0)
     for k in range(steps // run):
-        algorithm.walk(state, FRAME, state.t_us + t, quiet + shake, state.t_us, -1, rows)
+        stamps = state.t_us + t
+        until = int(stamps[-1])
+        algorithm.walk(state, FRAME, stamps, quiet + shake, until, state.t_us, -1, rows)
         z = rng.normal(size=3) * 0.02
         algorithm.update(state, z - state.x[:3], H, R, math.inf, np.empty(3))
-        r, h = heading.model(state.x, state.u, np.zeros(1), q_ln)
+        r, h = heading.model(state.x, state.u, np.zeros(1), place)
         algorithm.update(state, r, h, np.array([[1e-4]]), math.inf, np.empty(1))
         if k % 400 == 0:
             assert_covariance(state.P)
@@ -120,7 +122,9 @@ def test_a_walk_does_not_depend_on_its_slices() -> None:
     for part in np.array_split(np.arange(300), [1, 2, 40, 41, 200]):
         before = sliced.t_us
         rows = RowBlock.empty(300)
-        algorithm.walk(sliced, FRAME, np.array(t)[part], imu[part], before, 20_000, rows)
+        stamps = np.array(t)[part]
+        until = int(stamps[-1])
+        algorithm.walk(sliced, FRAME, stamps, imu[part], until, before, 20_000, rows)
         got.extend(rows.t_us[: rows.count].tolist())
     assert got == all_rows.t_us[: all_rows.count].tolist()
     assert_array_equal(sliced.x, whole.x)
@@ -139,7 +143,9 @@ def test_an_instant_between_rows_is_reached_along_the_line() -> None:
     row = direct.u + np.array([0.02, 0.01, 0.0, 0.5, 0.0, 0.2])
     walk(algorithm, direct, [10_000], row[np.newaxis])
     halfway = stopped.u + 0.4 * (row - stopped.u)
-    algorithm.advance(stopped, FRAME, 4_000, halfway)
+    rows = RowBlock.empty(1)
+    algorithm.walk(stopped, FRAME, np.array([10_000]), row[np.newaxis], 4_000, 0, -1, rows)
+    assert rows.count == 0
     assert stopped.t_us == 4_000
     assert_array_equal(stopped.u, halfway)
     walk(algorithm, stopped, [10_000], row[np.newaxis])
