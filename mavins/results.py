@@ -19,6 +19,7 @@ from mavins.estimator.fusion import Event
 from mavins.estimator.solution import WIDTH, describe
 from mavins.filters.base import RowBlock
 from mavins.nav.earth import TangentFrame
+from mavins.table_text import csv_lines
 from mavins.types import FloatArray, IntArray
 
 ESTIMATES: Final = (
@@ -30,7 +31,8 @@ INNOVATIONS: Final = (
     "t_us,stamp_us,aiding,source,accepted,reason,nis,"
     "innovation_0,innovation_1,innovation_2,sigma_0,sigma_1,sigma_2"
 )
-_ROW: Final = "%d,%.10f,%.10f" + ",%.9g" * (WIDTH - 2) + "\n"
+_DECIMALS: Final = np.array([10, 10, 4] + [6] * 6 + [9] * 7 + [6] * 6 + [9] * 9, dtype=np.int64)
+"""Of each column after t_us: lat and lon in degrees to 10 um, metres and m/s to a millionth, angles to a nanoradian."""
 _HEAD: Final = "%d,%d,%s,%s,%d,%s,%.9g"
 _DECISION: Final = [_HEAD + 2 * (",%.9g" * m + "," * (3 - m)) + "\n" for m in range(4)]
 """The line of a decision on so many rows; what is not known stays empty."""
@@ -61,8 +63,7 @@ class ResultWriter:
         if self._keep and len(t_us):
             self._kept.append((t_us, rows.copy()))
         rows[:, :2] *= _DEGREES
-        pairs = zip(t_us.tolist(), rows.tolist(), strict=True)
-        self._estimates.write("".join([_ROW % (t, *row) for t, row in pairs]))
+        self._estimates.write(csv_lines(t_us, rows, _DECIMALS).decode("ascii"))
 
     def write_decision(self, event: Event) -> None:
         """Write the final decision on a measurement."""

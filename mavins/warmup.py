@@ -26,6 +26,7 @@ from mavins.mavlink.codec import (
 from mavins.mavlink.session import Session
 from mavins.nav.earth import TangentFrame
 from mavins.nav.kernels import CACHE, is_cached, mark_cached
+from mavins.table_text import csv_lines
 from mavins.types import GnssFix, ImuSample, TruthSample
 
 _STEP_US = 50_000
@@ -49,7 +50,9 @@ def compile_all(report: Callable[[str], None]) -> None:
 
 def _describe(block: RowBlock, frame_n: TangentFrame) -> None:
     n = block.count
-    describe(block.x[:n], block.P[:n], frame_n.r0_e, frame_n.C_ne, np.empty((n, WIDTH)))
+    rows = np.empty((n, WIDTH))
+    describe(block.x[:n], block.P[:n], frame_n.r0_e, frame_n.C_ne, rows)
+    csv_lines(block.t_us[:n], rows, np.zeros(WIDTH, dtype=np.int64))
 
 
 def _fly(report: Callable[[str], None]) -> None:

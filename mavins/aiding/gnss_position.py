@@ -52,7 +52,7 @@ def noise_n(C_ln: FloatArray, sigma_h: float, sigma_v: float) -> FloatArray:
     R = np.empty((3, 3))
     for i in range(3):
         for j in range(3):
-            R[i, j] = (v - h) * C_ln[2, i] * C_ln[2, j]
+            R[i, j] = (v - h) * (C_ln[2, i] * C_ln[2, j])
         R[i, i] += h
     return R
 
