@@ -4,6 +4,11 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
+import signal
+import subprocess
+import sys
+import threading
 from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 from pathlib import Path
@@ -244,3 +249,81 @@ def make_rig(tmp_path: Path) -> Callable[..., Rig]:
 @pytest.fixture
 def fly() -> Callable[..., list[Arrival]]:
     return arrivals
+
+
+START_LIMIT = 120.0
+"""A cold compilation of the kernels."""
+
+
+def command(*words: str) -> list[str]:
+    return [sys.executable, "-m", "mavins", *words]
+
+
+class Serve:
+    """`mavins serve` in a process; `port` is the one it said it listens on."""
+
+    def __init__(self, *options: str) -> None:
+        self.process = subprocess.Popen(
+            command("serve", "--udp", "127.0.0.1:0", *options),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        self.lines: list[str] = []
+        self._listening = threading.Event()
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+        if not self._listening.wait(START_LIMIT):
+            self.process.kill()
+            raise AssertionError(f"serve never listened: {self.process.communicate()}")
+        found = re.fullmatch(r"listening udp 127\.0\.0\.1:(\d+)", self.lines[0])
+        assert found, self.lines
+        self.port = int(found[1])
+
+    def _read(self) -> None:
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            self.lines.append(line.rstrip("\n"))
+            self._listening.set()
+        self._listening.set()
+
+    def stop(self, number: int = signal.SIGINT) -> str:
+        """End it, check the exit status, return what it said on stderr."""
+        assert self.process.poll() is None, self.lines
+        self.process.send_signal(number)
+        assert self.process.stderr is not None
+        said = self.process.stderr.read()
+        assert self.process.wait(20.0) == 0, said
+        self._reader.join(5.0)
+        return said
+
+
+@pytest.fixture
+def serve() -> Iterator[Callable[..., Serve]]:
+    started: list[Serve] = []
+
+    def start(*options: str) -> Serve:
+        started.append(Serve(*options))
+        return started[-1]
+
+    yield start
+    for one in started:
+        if one.process.poll() is None:
+            one.process.kill()
+        one.process.wait()
+
+
+@pytest.fixture
+def fly_process() -> Iterator[Callable[..., subprocess.Popen[bytes]]]:
+    started: list[subprocess.Popen[bytes]] = []
+
+    def start(port: int, duration: float, *options: str) -> subprocess.Popen[bytes]:
+        words = ("-q", "sitl", "--udp", f"127.0.0.1:{port}", "--duration", str(duration))
+        started.append(subprocess.Popen(command(*words, *options)))
+        return started[-1]
+
+    yield start
+    for one in started:
+        if one.poll() is None:
+            one.kill()
+        one.wait()

@@ -6,12 +6,10 @@ import csv
 import itertools
 import json
 import math
-import re
 import select
 import signal
 import socket
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -42,82 +40,6 @@ RATES = {
     "HOME_POSITION": 0.5,
 }
 ESTIMATES = set(RATES) - {"HEARTBEAT", "SYS_STATUS"}
-START_LIMIT = 120.0
-"""A cold compilation of the kernels."""
-
-
-def command(*words: str) -> list[str]:
-    return [sys.executable, "-m", "mavins", *words]
-
-
-class Serve:
-    """`mavins serve` in a process; `port` is the one it said it listens on."""
-
-    def __init__(self, *options: str) -> None:
-        self.process = subprocess.Popen(
-            command("serve", "--udp", "127.0.0.1:0", *options),
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        self.lines: list[str] = []
-        self._listening = threading.Event()
-        self._reader = threading.Thread(target=self._read, daemon=True)
-        self._reader.start()
-        if not self._listening.wait(START_LIMIT):
-            self.process.kill()
-            raise AssertionError(f"serve never listened: {self.process.communicate()}")
-        found = re.fullmatch(r"listening udp 127\.0\.0\.1:(\d+)", self.lines[0])
-        assert found, self.lines
-        self.port = int(found[1])
-
-    def _read(self) -> None:
-        assert self.process.stdout is not None
-        for line in self.process.stdout:
-            self.lines.append(line.rstrip("\n"))
-            self._listening.set()
-        self._listening.set()
-
-    def stop(self, number: int = signal.SIGINT) -> str:
-        """End it, check the exit status, return what it said on stderr."""
-        assert self.process.poll() is None, self.lines
-        self.process.send_signal(number)
-        assert self.process.stderr is not None
-        said = self.process.stderr.read()
-        assert self.process.wait(20.0) == 0, said
-        self._reader.join(5.0)
-        return said
-
-
-@pytest.fixture
-def serve() -> Iterator[Callable[..., Serve]]:
-    started: list[Serve] = []
-
-    def start(*options: str) -> Serve:
-        started.append(Serve(*options))
-        return started[-1]
-
-    yield start
-    for one in started:
-        if one.process.poll() is None:
-            one.process.kill()
-        one.process.wait()
-
-
-@pytest.fixture
-def fly_process() -> Iterator[Callable[..., subprocess.Popen[bytes]]]:
-    started: list[subprocess.Popen[bytes]] = []
-
-    def start(port: int, duration: float, *options: str) -> subprocess.Popen[bytes]:
-        words = ("-q", "sitl", "--udp", f"127.0.0.1:{port}", "--duration", str(duration))
-        started.append(subprocess.Popen(command(*words, *options)))
-        return started[-1]
-
-    yield start
-    for one in started:
-        if one.poll() is None:
-            one.kill()
-        one.wait()
 
 
 @dataclass
@@ -169,7 +91,7 @@ def finite(message: Any) -> bool:
 
 
 def test_a_flight_over_udp(
-    serve: Callable[..., Serve],
+    serve: Callable[..., Any],
     fly_process: Callable[..., subprocess.Popen[bytes]],
     peer: Peer,
     tmp_path: Path,
@@ -193,8 +115,12 @@ def test_a_flight_over_udp(
         assert live == (tmp_path / "again/eskf" / name).read_bytes(), name
     again = json.loads((tmp_path / "again/summary.json").read_text())
     summary = json.loads((out / "summary.json").read_text())
-    for key in ("imu", "imu_samples", "aiding", "health", "resets", "rows"):
+    for key in ("imu", "imu_samples", "health", "resets", "rows"):
         assert summary[key] == again[key], key
+    for name, aiding in summary["aiding"].items():
+        for key in ("accepted", "rejected"):
+            assert aiding[key] == again["aiding"][name][key], name
+        assert aiding["nis_per_row"] == pytest.approx(again["aiding"][name]["nis_per_row"])
     assert max(summary["truth"]["rms"]["pos_m"]) < 1.0
     assert summary["truth"]["rms"]["pos_m"] == pytest.approx(
         again["truth"]["rms"]["pos_m"], abs=0.1
@@ -251,7 +177,7 @@ def files_are_whole(out: Path, log: Path) -> None:
 
 
 def test_a_ground_station_that_never_sent_and_one_that_falls_silent(
-    serve: Callable[..., Serve],
+    serve: Callable[..., Any],
     fly_process: Callable[..., subprocess.Popen[bytes]],
     peer: Peer,
     tmp_path: Path,
@@ -281,6 +207,6 @@ def test_a_ground_station_that_never_sent_and_one_that_falls_silent(
     assert service.lines[1:] == []
 
 
-def test_a_signal_right_after_listening_ends_it_cleanly(serve: Callable[..., Serve]) -> None:
+def test_a_signal_right_after_listening_ends_it_cleanly(serve: Callable[..., Any]) -> None:
     serve().stop(signal.SIGINT)
     serve("-q").stop(signal.SIGTERM)
