@@ -11,6 +11,7 @@ import numpy as np
 from mavins.config import Config
 from mavins.estimator.estimator import Estimator, Outputs
 from mavins.estimator.solution import WIDTH, describe
+from mavins.evaluation.errors import errors_against
 from mavins.evaluation.live import LiveTruth
 from mavins.filters.base import RowBlock
 from mavins.mavlink.codec import (
@@ -21,7 +22,7 @@ from mavins.mavlink.codec import (
     heartbeat,
     highres_imu,
     hil_state_quaternion,
-    scan,
+    scan_tlog,
 )
 from mavins.mavlink.session import Session
 from mavins.nav.earth import TangentFrame
@@ -90,7 +91,10 @@ def _fly(report: Callable[[str], None]) -> None:
             stage = now
             report(f"  {stage}")
     estimator.finish()
-    scan(b"")
+    scan_tlog(b"")
+    one, two = np.zeros((1, 3)), np.zeros((2, 3))
+    truth_table = (np.arange(2), two, two, np.tile([1.0, 0.0, 0.0, 0.0], (2, 1)))
+    errors_against(np.zeros(1, dtype=np.int64), one, one, one, truth_table)
 
 
 def _sample(t_us: int) -> ImuSample:

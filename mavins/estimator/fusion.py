@@ -70,7 +70,7 @@ class Fusion:
         event.innovation = r
         event.sigma = np.empty(len(r))
         event.reason = m.quality
-        gate = 0.0 if m.quality else gate_threshold(m.gate, len(r))
+        gate = -1.0 if m.quality else gate_threshold(m.gate, len(r))
         event.nis = self._filter.update(state, r, H, m.R, gate, event.sigma)
         if m.quality:
             return

@@ -158,14 +158,20 @@ class ZeroVelocitySettings:
         5.0
     )
     gyro_limit: Annotated[
-        float, Gt(0), Le(10), Doc("The mean rate of a quarter second stays below this.", "rad/s")
+        float,
+        Gt(0),
+        Le(10),
+        Doc(
+            "The mean rate over 0.25 s stays this near to the quiet spell's first, and below three times this.",
+            "rad/s",
+        ),
     ] = 0.03
     accel_limit: Annotated[
         float,
         Gt(0),
         Le(10),
         Doc(
-            "The mean specific force of a quarter second stays this near to the one before.",
+            "The mean specific force over 0.25 s stays this near to the quiet spell's first.",
             "m/s^2",
         ),
     ] = 0.12

@@ -74,7 +74,8 @@ def errors_against(
     The truth is (t_us, lla, v_l, q_lb), as for `interpolate_truth`.
     """
     true_lla, true_v, true_q, inside = interpolate_truth(at_us, *truth)
-    pos, att = _position_and_attitude(lla, euler, true_lla, true_q)
+    solid = [np.ascontiguousarray(a) for a in (lla, euler, true_lla, true_q)]
+    pos, att = _position_and_attitude(*solid)
     return Errors(at_us[inside], pos[inside], (v_l - true_v)[inside], att[inside])
 
 
@@ -88,8 +89,11 @@ def _position_and_attitude(
     for k in range(lla.shape[0]):
         at = lla_to_ecef(lla[k, 0], lla[k, 1], lla[k, 2])
         true_at = lla_to_ecef(true_lla[k, 0], true_lla[k, 1], true_lla[k, 2])
-        pos[k] = dcm_ne(true_lla[k, 0], true_lla[k, 1]) @ (at - true_at)
+        C_le = dcm_ne(true_lla[k, 0], true_lla[k, 1])
         true_euler = quat_to_euler(true_q[k])
         for i in range(3):
+            pos[k, i] = 0.0
+            for j in range(3):
+                pos[k, i] += C_le[i, j] * (at[j] - true_at[j])
             att[k, i] = wrap_pi(euler[k, i] - true_euler[i])
     return pos, att

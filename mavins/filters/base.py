@@ -104,5 +104,5 @@ class Filter(Protocol):
         """Fuse residual r (m,) with its Jacobian over the canonical errors H (m, 19) and noise R (m, m).
 
         Returns the NIS and writes sqrt(diag(H P H^T + R)) to `sigma` (m,). Above `gate`, or nan where the result would
-        not be positive definite, the state was left alone; gate 0 leaves it alone in any case.
+        not be positive definite, the state was left alone; a negative gate leaves it alone in any case.
         """

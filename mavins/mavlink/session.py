@@ -21,13 +21,14 @@ from mavins.mavlink.codec import decode as decode_frame
 from mavins.mavlink.intake import RELEVANT, Intake
 from mavins.mavlink.requests import COMMANDS, SET_GPS_GLOBAL_ORIGIN, answer, decode_packet
 from mavins.mavlink.settings import SessionSettings, StreamSettings
-from mavins.mavlink.sources import SourceSettings
+from mavins.mavlink.sources import ARDUPILOT, PX4, SourceSettings
 from mavins.mavlink.vehicle import Holder, Vehicle
 from mavins.types import Origin
 
 COMPID: Final = 1
 _RELEVANT: Final = frozenset(RELEVANT.tolist())
 _REQUESTS: Final = frozenset((*COMMANDS, SET_GPS_GLOBAL_ORIGIN))
+_ODOMETRY = 331
 
 
 class Recorder(Protocol):
@@ -226,10 +227,19 @@ class Session:
     # ---- what goes out -----------------------------------------------------------------------------------------
 
     def _say(self, vehicle: Vehicle, payloads: Iterable[Payload], now_us: int) -> None:
-        """Send payloads about a vehicle to every peer."""
+        """Send payloads about a vehicle to every peer; an autopilot is spared our ODOMETRY.
+
+        An autopilot would take it for an external position, or complain about each one.
+        """
+        autopilots = {
+            v.holder.address
+            for v in self.vehicles.values()
+            if v.intake.autopilot in (ARDUPILOT, PX4)
+        }
         for payload in payloads:
             for address in self.peers:
-                self._send(vehicle, payload, address)
+                if payload.msgid != _ODOMETRY or address not in autopilots:
+                    self._send(vehicle, payload, address)
             self._record(vehicle, payload, now_us)
 
     def _record(self, vehicle: Vehicle, payload: Payload, now_us: int) -> None:
