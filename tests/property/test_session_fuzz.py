@@ -1,0 +1,217 @@
+"""Whatever comes in, a session neither raises nor sends a NaN, and its tables stay bounded."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import all as dialect
+
+from mavins.config import Config, load
+from mavins.estimator.estimator import Estimator, Outputs
+from mavins.mavlink.codec import (
+    attitude,
+    frame,
+    global_position_int,
+    gps_raw_int,
+    heartbeat,
+    highres_imu,
+)
+from mavins.mavlink.session import Session
+from mavins.types import GnssFix, ImuSample
+
+pytestmark = pytest.mark.jit
+
+HANDLED = (
+    "HEARTBEAT",
+    "SYSTEM_TIME",
+    "HIGHRES_IMU",
+    "SCALED_IMU",
+    "SCALED_IMU2",
+    "SCALED_IMU3",
+    "RAW_IMU",
+    "GPS_RAW_INT",
+    "GLOBAL_POSITION_INT",
+    "GPS_INPUT",
+    "HIL_GPS",
+    "ATTITUDE",
+    "SET_GPS_GLOBAL_ORIGIN",
+    "COMMAND_LONG",
+    "COMMAND_INT",
+    "HIL_STATE_QUATERNION",
+    "SIM_STATE",
+)
+ADDRESSES = [(0, "127.0.0.1", 5000 + k) for k in range(3)] + [(0, "192.0.2.7", 14550)]
+_PARSER = dialect.MAVLink(None)
+_CONFIGS = {
+    "auto": Config(),
+    "gps_input": load(None, {"sources.gnss": "gps_input", "mavlink.max_peers": 2}),
+    "hil_gps": load(None, {"sources.gnss": "hil_gps", "sources.heading": "gps_yaw"}),
+    "gps_raw_int": load(
+        None,
+        {"sources.gnss": "gps_raw_int", "sources.vertical_velocity": "global_position_int"},
+    ),
+}
+
+
+def packet(msgid: int, payload: bytes, sysid: int, compid: int, seq: int) -> bytes:
+    """An intact MAVLink 2 packet with an arbitrary payload."""
+    body = payload.rstrip(b"\0") or b"\0"
+    header = bytes([len(body), 0, 0, seq, sysid, compid]) + msgid.to_bytes(3, "little")
+    extra = dialect.mavlink_map[msgid].crc_extra
+    crc = dialect.x25crc(header + body)
+    crc.accumulate(bytes([extra]))
+    return b"\xfd" + header + body + crc.crc.to_bytes(2, "little")
+
+
+def size_of(name: str) -> int:
+    cls = getattr(dialect, f"MAVLink_{name.lower()}_message")
+    return int(cls.unpacker.size)
+
+
+def id_of(name: str) -> int:
+    return int(getattr(dialect, f"MAVLINK_MSG_ID_{name}"))
+
+
+small = st.integers(0, 255)
+sysids = st.sampled_from([1, 1, 1, 2, 100, 255])
+
+
+@st.composite
+def arbitrary_packets(draw: st.DrawFn) -> bytes:
+    name = draw(st.sampled_from(HANDLED))
+    size = size_of(name)
+    payload = draw(st.binary(min_size=size, max_size=size))
+    compid = draw(st.sampled_from([1, 1, 1, 2, 191]))
+    return packet(id_of(name), payload, draw(sysids), compid, draw(small))
+
+
+@st.composite
+def datagrams(draw: st.DrawFn) -> bytes:
+    parts = draw(
+        st.lists(st.one_of(arbitrary_packets(), st.binary(max_size=40)), min_size=1, max_size=4)
+    )
+    whole = b"".join(parts)
+    if draw(st.booleans()):
+        whole = whole[: draw(st.integers(0, len(whole)))]
+    return whole
+
+
+def good(t_us: int, sysid: int = 1) -> list[bytes]:
+    """What a healthy vehicle sends at t_us."""
+    fix = GnssFix(t_us, 0.8, 0.1, 400.0, (0.0, 0.0, 0.0), 3, 12, 0.5, 0.8, 0.1)
+    payloads = [highres_imu(ImuSample(t_us, np.array([0.0, 0.0, -9.81]), np.zeros(3)))]
+    step = t_us // 20_000
+    if step % 50 == 0:
+        payloads.append(heartbeat(2, 0))
+    if step % 10 == 0:
+        payloads += [
+            attitude(t_us, 0.0, 0.0, 0.5, (0.0, 0.0, 0.0)),
+            gps_raw_int(fix),
+            global_position_int(t_us, 0.8, 0.1, 400.0, 0.0, (0.0, 0.0, 0.0), None),
+        ]
+    return [frame(payload, sysid, 1, k) for k, payload in enumerate(payloads)]
+
+
+class Harness:
+    """A session with its own clock; every datagram that goes out is looked at."""
+
+    def __init__(self, config: Config) -> None:
+        self.config = config
+        self.rows = 0
+        self.now_us = 1_790_000_000_000_000
+        self.session = Session(
+            config.mavlink,
+            config.streams,
+            config.sources,
+            lambda sysid: Estimator(config, config.filter, Outputs(20_000, self.count)),
+            lambda address: isinstance(address, tuple) and str(address[1]).startswith("127."),
+        )
+
+    def count(self, block: Any, frame_n: Any) -> None:
+        assert np.isfinite(block.x[: block.count]).all()
+        self.rows += block.count
+
+    def receive(self, data: bytes, address: Any, after_us: int) -> None:
+        self.now_us += after_us
+        self.session.receive(data, address, self.now_us)
+        self.session.tick(self.now_us)
+        for out, _ in self.session.datagrams():
+            message = _PARSER.decode(bytearray(out))
+            for name in message.get_fieldnames():
+                value = getattr(message, name)
+                for item in value if isinstance(value, list) else [value]:
+                    assert not isinstance(item, float) or math.isfinite(item), message
+
+    def start(self) -> None:
+        """Three quiet seconds at the default address: the filter runs."""
+        for k in range(150):
+            self.receive(b"".join(good(1_000_000 + 20_000 * k)), ADDRESSES[0], 20_000)
+        assert self.session.vehicles[1].estimator.running
+
+
+def bounded(session: Session, config: Config) -> None:
+    assert len(session.peers) <= config.mavlink.max_peers
+    assert len(session.vehicles) <= config.mavlink.max_vehicles
+    ours = [vehicle.our_sysid for vehicle in session.vehicles.values()]
+    assert len(set(ours)) == len(ours)
+
+
+arrivals = st.lists(
+    st.tuples(datagrams(), st.sampled_from(ADDRESSES), st.integers(0, 2_000_000)),
+    min_size=1,
+    max_size=12,
+)
+
+
+@given(st.sampled_from(sorted(_CONFIGS)), arrivals)
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+def test_anything_at_all_into_a_new_session(
+    name: str, stream: list[tuple[bytes, Any, int]]
+) -> None:
+    harness = Harness(_CONFIGS[name])
+    for data, address, after_us in stream:
+        harness.receive(data, address, after_us)
+    bounded(harness.session, harness.config)
+
+
+@given(arrivals)
+@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+def test_anything_at_all_while_the_filter_runs(stream: list[tuple[bytes, Any, int]]) -> None:
+    harness = Harness(_CONFIGS["auto"])
+    harness.start()
+    t_us = 4_000_000
+    for data, address, after_us in stream:
+        step = min(after_us, 100_000)
+        harness.receive(data, address, step)
+        t_us += 20_000
+        harness.receive(b"".join(good(t_us)), ADDRESSES[0], 20_000)
+    bounded(harness.session, harness.config)
+    # and a while of quiet brings it back, whatever was believed meanwhile
+    for k in range(1, 251):
+        harness.receive(b"".join(good(t_us + 20_000 * k)), ADDRESSES[0], 20_000)
+    assert harness.session.vehicles[1].estimator.t_us is not None
+
+
+def test_more_peers_and_vehicles_than_there_is_room_for() -> None:
+    config = load(None, {"mavlink.max_peers": 4, "mavlink.max_vehicles": 3})
+    harness = Harness(config)
+    for k in range(1, 251):
+        address = (0, "127.0.0.1", 6000 + k)
+        harness.receive(b"".join(good(1_000_000, sysid=k)), address, 1000)
+    bounded(harness.session, config)
+    assert harness.session.dropped["more peers than max_peers"] >= 240
+    assert harness.session.dropped["more vehicles than max_vehicles"] >= 240
+    assert len(harness.session.vehicles) == 3
+
+
+def test_every_sysid_taken_still_leaves_one_for_us() -> None:
+    harness = Harness(Config())
+    for k in range(1, 256):
+        harness.receive(frame(heartbeat(6, 8), k, 190, 0), ADDRESSES[1], 1000)
+    harness.receive(good(1_000_000, sysid=7)[0], ADDRESSES[0], 1000)
+    assert harness.session.vehicles[7].our_sysid == 1 + (7 + 98) % 250
