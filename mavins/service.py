@@ -84,6 +84,7 @@ class Service:
             self._make_estimator,
             is_local,
             self._recorder,
+            self._transmit,
         )
         for host, port in gcs:
             self.session.add_peer((0, host, port))
@@ -105,7 +106,7 @@ class Service:
                 if now >= next_tick:
                     next_tick = now + TICK_S
                     self.session.tick(self._now_us())
-                    self._send()
+                    self._write_rows()
                 if now >= next_status:
                     next_status = now + STATUS_S
                     self._flush()
@@ -122,17 +123,15 @@ class Service:
         """Take every datagram that waits at a link, answering after each."""
         for data, (host, port) in self._links[index].recv(0.0):
             frames = self.session.receive(data, (index, host, port), self._now_us())
-            self._send()
             if HIL_STATE not in frames.msgid:
                 continue
             for sysid, vehicle in self.session.vehicles.items():
                 self._watches[sysid].truth.take(frames, sysid, vehicle.estimator.solution())
 
-    def _send(self) -> None:
-        for data, address in self.session.datagrams():
-            assert isinstance(address, tuple)
-            index, host, port = address
-            self._links[index].send(data, (host, port))
+    def _transmit(self, data: bytes, address: Hashable) -> None:
+        assert isinstance(address, tuple)
+        index, host, port = address
+        self._links[index].send(data, (host, port))
 
     def _make_estimator(self, sysid: int) -> Estimator:
         writer, folder = None, None
@@ -148,11 +147,16 @@ class Service:
         outputs = Outputs(grid_us(ROWS_PER_SECOND), writer.write_rows, writer.write_decision)
         return Estimator(self._config, self._config.filter, outputs)
 
-    def _flush(self) -> None:
-        """Bring what is held to the files, so that a crash loses a second at most."""
+    def _write_rows(self) -> None:
+        """Write the rows that are held, a few at a time: a second's worth would hold up a sample on its way."""
         for sysid, watch in self._watches.items():
             if watch.writer is not None:
                 self.session.vehicles[sysid].estimator.flush()
+
+    def _flush(self) -> None:
+        """Bring what is written to the files, so that a crash loses a second at most."""
+        for watch in self._watches.values():
+            if watch.writer is not None:
                 watch.writer.flush()
         if self._recorder is not None:
             self._recorder.flush()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import gc
 import signal
 import sys
 from pathlib import Path
@@ -89,6 +90,9 @@ def run(args: argparse.Namespace) -> int:
         for link in links:
             host, port = link.address
             print(f"listening udp {host}:{port}", flush=True)
+        # what is here by now stays: the collector need not look at it again while samples wait
+        gc.collect()
+        gc.freeze()
         service.run(lambda: bool(asked))
     finally:
         renderer.close()

@@ -74,6 +74,7 @@ class Session:
         make_estimator: Callable[[int], Estimator],
         is_local: Callable[[Hashable], bool] = lambda address: True,
         recorder: Recorder | None = None,
+        transmit: Callable[[bytes, Hashable], None] | None = None,
     ) -> None:
         self.vehicles: dict[int, Vehicle] = {}
         self.peers: dict[Hashable, Peer] = {}
@@ -88,6 +89,8 @@ class Session:
         self._recorder = recorder
         self._recorded = Peer(None)
         self._out: list[tuple[bytes, Hashable]] = []
+        # a service sends each packet as soon as it is made; without one they wait for `datagrams`
+        self._transmit = transmit or (lambda data, address: self._out.append((data, address)))
         self._seen_sysids: set[int] = set()
         self._wanted_origins: list[OriginRequest] = []
 
@@ -252,7 +255,7 @@ class Session:
         if peer is None:
             return
         number = peer.next_sequence(vehicle.our_sysid)
-        self._out.append((frame(payload, vehicle.our_sysid, COMPID, number), address))
+        self._transmit(frame(payload, vehicle.our_sysid, COMPID, number), address)
         self.packets_out += 1
 
     def _request(self, frames: Frames, i: int, address: Hashable, now_us: int) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Iterator
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -85,13 +85,15 @@ class Vehicle:
         self.streams = Streams(self.stream_settings)
         self._imu_us = self.holder.seen_us
 
-    def take(self, frames: Frames) -> list[Payload]:
-        """Feed packets of the vehicle; returns what is due to be said because of them."""
+    def take(self, frames: Frames) -> Iterator[Payload]:
+        """Feed packets of the vehicle; gives what is due to be said because of them, each as soon as it is made."""
         self.intake.take(frames)
         if self.estimator.imu_rows != self._imu_rows:
             self._imu_rows = self.estimator.imu_rows
             self._imu_us = int(frames.t_us[-1])
-        return [*self._news(), *self._fix_news(), *self.streams.due(self.estimator, self.home)]
+        yield from self._news()
+        yield from self.streams.due(self.estimator, self.home)
+        yield from self._fix_news()
 
     def tick(self, now_us: int) -> list[Payload]:
         """What is due by our own clock: HEARTBEAT and SYS_STATUS, and a word when the vehicle falls silent."""

@@ -83,6 +83,19 @@ def numbers(message: Any) -> Iterator[float]:
                 yield item
 
 
+class Wire:
+    """What the service takes for a link: it looks at every datagram that goes out."""
+
+    def __init__(self, rig: Rig) -> None:
+        self._rig = rig
+
+    def send(self, data: bytes, address: tuple[str, int]) -> None:
+        self._rig.heard(data, (0, *address))
+
+    def close(self) -> None:
+        pass
+
+
 class Rig:
     """A service whose datagrams come from a list and whose clock is their stamps."""
 
@@ -90,9 +103,10 @@ class Rig:
         self.out = folder / "live"
         self.log = folder / "live.tlog"
         self.config = config or Config()
-        self.service = Service(self.config, [], (), self.out, self.log)
+        self.service = Service(self.config, [Wire(self)], (), self.out, self.log)  # type: ignore[list-item]
         self.sent: list[tuple[int, Any, Any]] = []
         """(stamp in us, address, message) of all that went out."""
+        self.tap: Callable[[bytes], None] | None = None
         self._next_tick = 0
         self._next_flush = 0
         self.now_us = UNIX_US
@@ -108,7 +122,6 @@ class Rig:
         """One datagram, and the ticks that were due before it."""
         self.wait(now_us)
         self.session.receive(data, address, now_us)
-        self._collect()
 
     def wait(self, until_us: int) -> None:
         """Nothing comes until then."""
@@ -118,7 +131,7 @@ class Rig:
             self.now_us = self._next_tick
             self.session.tick(self._next_tick)
             self._next_tick += 50_000
-            self._collect()
+            self.service._write_rows()
             if self._next_flush <= self.now_us:
                 self._next_flush += 1_000_000
                 self.service._flush()
@@ -130,11 +143,13 @@ class Rig:
             self.receive(now_us, address, data)
         return self
 
-    def _collect(self) -> None:
-        for data, address in self.session.datagrams():
-            message = decoded(data)
-            assert all(map(math.isfinite, numbers(message))), message
-            self.sent.append((self.now_us, address, message))
+    def heard(self, data: bytes, address: Any) -> None:
+        """A datagram that the service sends."""
+        message = decoded(data)
+        assert all(map(math.isfinite, numbers(message))), message
+        self.sent.append((self.now_us, address, message))
+        if self.tap is not None:
+            self.tap(data)
 
     def messages(self, kind: str, address: Any = None, sysid: int | None = None) -> list[Any]:
         """All messages of one kind that went to an address (None: any)."""
