@@ -151,8 +151,12 @@ class Session:
 
     def _let_in(self, frames: Frames, address: Hashable, now_us: int) -> Frames:
         """The packets that count: not our own that came back, and of a vehicle only those of its own address."""
-        ours = {vehicle.our_sysid for vehicle in self.vehicles.values()}
         sysids, out = frames.sysid.tolist(), set[int]()
+        if self._is_usual(sysids, address):
+            self.vehicles[sysids[0]].holder.seen_us = now_us
+            self._see_peer(address, now_us)
+            return frames
+        ours = {vehicle.our_sysid for vehicle in self.vehicles.values()}
         if not self._is_local(address):
             # turned away here and not later, so that a recording holds only requests that were carried out
             foreign = np.flatnonzero(frames.msgid == SET_GPS_GLOBAL_ORIGIN).tolist()
@@ -182,6 +186,17 @@ class Session:
         if len(frames):
             self._see_peer(address, now_us)
         return frames
+
+    def _is_usual(self, sysids: list[int], address: Hashable) -> bool:
+        """True for packets of one vehicle from its own address on this host: nothing more is to be looked at."""
+        vehicle = self.vehicles.get(sysids[0])
+        return (
+            vehicle is not None
+            and vehicle.holder.address == address
+            and sysids.count(sysids[0]) == len(sysids)
+            and self._is_local(address)
+            and all(v.our_sysid != sysids[0] for v in self.vehicles.values())
+        )
 
     def _see_peer(self, address: Hashable, now_us: int) -> None:
         peer = self.peers.get(address)
