@@ -8,6 +8,8 @@ from __future__ import annotations
 import json
 import math
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Final
@@ -63,7 +65,8 @@ class ResultWriter:
         if self._keep and len(t_us):
             self._kept.append((t_us, rows.copy()))
         rows[:, :2] *= _DEGREES
-        self._estimates.write(csv_lines(t_us, rows, _DECIMALS).decode("ascii"))
+        with _or_say_so(self._estimates):
+            self._estimates.write(csv_lines(t_us, rows, _DECIMALS).decode("ascii"))
 
     def write_decision(self, event: Event) -> None:
         """Write the final decision on a measurement."""
@@ -73,7 +76,8 @@ class ResultWriter:
         r, sigma = event.innovation.tolist(), event.sigma.tolist()
         head = (m.t_us, m.stamp_us, m.aiding, m.source, event.accepted, event.reason, event.nis)
         line = _DECISION[len(r)] % (*head, *r, *sigma)
-        self._innovations.write(line.replace("nan", ""))
+        with _or_say_so(self._innovations):
+            self._innovations.write(line.replace("nan", ""))
 
     def table(self) -> tuple[IntArray, FloatArray]:
         """All rows written so far as (t_us (N,), rows (N, 31)), where they were kept."""
@@ -85,12 +89,14 @@ class ResultWriter:
     def flush(self) -> None:
         """Hand what is buffered to the operating system."""
         for file in (self._estimates, self._innovations):
-            file.flush()
+            with _or_say_so(file):
+                file.flush()
 
     def close(self) -> None:
         """Write what is buffered and close the files."""
         for file in (self._estimates, self._innovations):
-            file.close()
+            with _or_say_so(file):
+                file.close()
 
     def __enter__(self) -> ResultWriter:
         return self
@@ -102,6 +108,15 @@ class ResultWriter:
         trace: TracebackType | None,
     ) -> None:
         self.close()
+
+
+@contextmanager
+def _or_say_so(file: IO[str]) -> Iterator[None]:
+    """Turn a failure to write (a full disk) into an OutputError that names the file."""
+    try:
+        yield
+    except OSError as error:
+        raise OutputError(f"cannot write {file.name}: {error.strerror}") from error
 
 
 def _open(path: Path, header: str) -> IO[str]:

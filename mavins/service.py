@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import select
 import time
 from collections import Counter
@@ -193,17 +194,21 @@ class Service:
         )
 
     def close(self) -> None:
-        """Write what is left, close files and links."""
-        for sysid, watch in self._watches.items():
-            vehicle = self.session.vehicles[sysid]
-            vehicle.estimator.finish()
-            if watch.writer is not None and watch.folder is not None:
-                watch.writer.close()
-                write_json(watch.folder.parent / "summary.json", self._summary(vehicle, watch))
-        if self._recorder is not None:
-            self._recorder.close()
-        for link in self._links:
-            link.close()
+        """Write what is left, close files and links; what fails does not keep the rest from being closed."""
+        with contextlib.ExitStack() as stack:
+            for link in self._links:
+                stack.callback(link.close)
+            if self._recorder is not None:
+                stack.callback(self._recorder.close)
+            for sysid, watch in self._watches.items():
+                stack.callback(self._finish, self.session.vehicles[sysid], watch)
+
+    def _finish(self, vehicle: Vehicle, watch: Watch) -> None:
+        """Write the last rows and the summary of a vehicle."""
+        vehicle.estimator.finish()
+        if watch.writer is not None and watch.folder is not None:
+            watch.writer.close()
+            write_json(watch.folder.parent / "summary.json", self._summary(vehicle, watch))
 
     def _summary(self, vehicle: Vehicle, watch: Watch) -> dict[str, Any]:
         truth = watch.truth.summary()

@@ -1,0 +1,156 @@
+"""A log through the estimator: which vehicle, which origins, and what the summary says."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pymavlink.dialects.v20 import all as dialect
+
+from mavins.config import Config, load
+from mavins.errors import LogFormatError
+from mavins.logs.tlog import TlogWriter, read_tlog
+from mavins.mavlink.codec import (
+    Payload,
+    attitude,
+    frame,
+    global_position_int,
+    gps_raw_int,
+    heartbeat,
+    highres_imu,
+    hil_state_quaternion,
+)
+from mavins.mavlink.settings import SessionSettings
+from mavins.replay import ReplayOptions, grid_us, our_sysid, replay, vehicle_of
+from mavins.types import GnssFix, ImuSample, TruthSample
+
+UNIX_US = 1_790_000_000_000_000
+LAT, LON, ALT = math.radians(47.4), math.radians(8.5), 500.0
+STILL = (0.0, 0.0, 0.0)
+
+
+def imu(t_us: int) -> Payload:
+    return highres_imu(ImuSample(t_us, np.array([0.0, 0.0, -9.808]), np.zeros(3)))
+
+
+def still(seconds: float, fix_type: int = 3) -> list[tuple[int, Payload]]:
+    """A vehicle that stands: 50 Hz IMU, 5 Hz fixes, 10 Hz heading and truth."""
+    items: list[tuple[int, Payload]] = [(1_000_000, heartbeat(2, 0))]
+    for k in range(round(seconds * 50)):
+        t_us = 1_000_000 + 20_000 * k
+        items.append((t_us, imu(t_us)))
+        if k % 50 == 1:
+            items.append((t_us, heartbeat(2, 0)))
+        if k % 5 == 0:
+            truth = TruthSample(t_us, LAT, LON, ALT, STILL, (1.0, 0.0, 0.0, 0.0))
+            items.append((t_us, attitude(t_us, 0.0, 0.0, 0.0, STILL)))
+            items.append((t_us, hil_state_quaternion(truth, (0.0, 0.0, -9.8), STILL)))
+        if k % 10 == 0:
+            fix = GnssFix(t_us, LAT, LON, ALT, STILL, fix_type, 12, 0.5, 0.8, 0.1)
+            items.append((t_us, gps_raw_int(fix)))
+            items.append((t_us, global_position_int(t_us, LAT, LON, ALT, 0.0, STILL, None)))
+    return items
+
+
+def log_of(path: Path, items: list[tuple[int, Payload | bytes]], sysid: int = 1) -> Path:
+    with TlogWriter(path) as log:
+        for t_us, item in items:
+            packet = item if isinstance(item, bytes) else frame(item, sysid, 1, 0)
+            log.write(UNIX_US + t_us, packet)
+    return path
+
+
+def origin(target: int, lat: float, sysid: int = 255) -> bytes:
+    message = dialect.MAVLink_set_gps_global_origin_message(
+        target, round(math.degrees(lat) * 1e7), round(math.degrees(LON) * 1e7), round(ALT * 1e3)
+    )
+    return bytes(message.pack(dialect.MAVLink(None, sysid, 190)))
+
+
+def test_grid() -> None:
+    assert grid_us(50.0) == 20_000
+    assert grid_us(0.0) == 0
+    assert grid_us(3.0) == 333_333
+    assert grid_us(1e9) == 1
+
+
+def test_the_vehicle_is_the_first_that_sends_an_imu(tmp_path: Path) -> None:
+    packets: list[tuple[int, Payload | bytes]] = [
+        (0, frame(heartbeat(2, 0), 3, 1, 0)),
+        (1, frame(imu(1), 9, 1, 0)),
+        (2, frame(imu(2), 4, 1, 0)),
+    ]
+    frames = read_tlog(log_of(tmp_path / "a.tlog", packets))
+    assert vehicle_of(frames) == 9
+    assert vehicle_of(frames, 4) == 4
+    with pytest.raises(LogFormatError, match=r"vehicle 3 sends no IMU .* 4, 9"):
+        vehicle_of(frames, 3)
+    silent = read_tlog(log_of(tmp_path / "b.tlog", packets[:1]))
+    with pytest.raises(LogFormatError, match="no IMU messages"):
+        vehicle_of(silent)
+
+
+def test_our_sysid_is_found_again(tmp_path: Path) -> None:
+    packets: list[tuple[int, Payload | bytes]] = [
+        (0, frame(heartbeat(6, 8), 100, 190, 0)),
+        (1, frame(imu(1), 1, 1, 0)),
+        (2, frame(imu(2), 101, 1, 0)),  # ours about vehicle 1, as 100 is taken
+        (3, frame(imu(3), 2, 1, 0)),
+    ]
+    frames = read_tlog(log_of(tmp_path / "a.tlog", packets))
+    assert our_sysid(frames, 1, SessionSettings()) == 101
+    assert our_sysid(frames, 2, SessionSettings()) == 102
+    assert our_sysid(frames, 1, SessionSettings(sysid=50)) == 50
+    assert our_sysid(frames, 77, SessionSettings()) == 0
+
+
+@pytest.mark.jit
+def test_a_replay(tmp_path: Path) -> None:
+    log = log_of(tmp_path / "still.tlog", still(6.0))
+    seen: list[float] = []
+    out = tmp_path / "out"
+    summary = replay(log, out, Config(), ReplayOptions(), seen.append)
+    assert seen[-1] == 1.0
+    assert summary == {**summary, "sysid": 1, "filter": "eskf", "log": str(log)}
+    assert json.loads((out / "summary.json").read_text()) == summary
+    assert summary["imu"] == {"message": "HIGHRES_IMU", "id": 0}
+    assert summary["imu_samples"] == summary["messages"]["HIGHRES_IMU"] == 300
+    assert summary["truth"]["source"] == "HIL_STATE_QUATERNION"
+    assert max(summary["truth"]["rms"]["pos_m"]) < 0.1
+    assert max(summary["truth"]["max"]["att_deg"]) < 0.5
+    assert summary["damage"] == {"bad_crc": 0, "unknown": 0, "skipped_bytes": 0, "truncated": 0}
+    lines = (out / "eskf/estimates.csv").read_text().splitlines()
+    assert len(lines) == summary["rows"] + 1
+    assert 100 < summary["rows"] < 300
+    assert load(out / "eskf/config.yaml") == Config()
+
+
+@pytest.mark.jit
+def test_a_log_without_an_estimate_says_why(tmp_path: Path) -> None:
+    log = log_of(tmp_path / "nofix.tlog", still(4.0, fix_type=1))
+    summary = replay(log, tmp_path / "out", Config(), ReplayOptions())
+    assert summary["rows"] == 0
+    assert summary["health"] == "waiting"
+    assert "no 3D fix" in summary["reason"]
+    assert "truth" not in summary
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize(
+    ("target", "sender", "taken"),
+    [(0, 255, True), (100, 255, True), (1, 255, False), (55, 255, False), (0, 1, True)],
+)
+def test_origins_that_were_asked_of_us(
+    target: int, sender: int, taken: bool, tmp_path: Path
+) -> None:
+    items: list[Any] = still(5.0)
+    items.insert(len(items) // 2, (3_500_000, origin(target, LAT + 1e-5, sender)))
+    log = log_of(tmp_path / "asked.tlog", items)
+    replay(log, tmp_path / "out", Config(), ReplayOptions(rate=5.0))
+    last = (tmp_path / "out/eskf/estimates.csv").read_text().splitlines()[-1]
+    p_n = float(last.split(",")[4])
+    assert p_n == pytest.approx(-63.7 if taken else 0.0, abs=0.5)

@@ -1,0 +1,168 @@
+"""The result folder: what is in the files, and that they are whole."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mavins.aiding import Measurement
+from mavins.errors import OutputError
+from mavins.estimator.fusion import Event
+from mavins.filters.base import RowBlock
+from mavins.nav.earth import TangentFrame
+from mavins.results import (
+    ESTIMATES,
+    INNOVATIONS,
+    ResultWriter,
+    check_folder,
+    write_json,
+    write_text,
+)
+from mavins.types import Origin
+
+FRAME = TangentFrame.at(Origin(math.radians(47.4), math.radians(8.5), 500.0))
+
+
+def block(t_us: list[int]) -> RowBlock:
+    """Rows of a vehicle 10 m north of the origin, 2 m above it, that heads 30 degrees."""
+    rows = RowBlock.empty(max(1, len(t_us)))
+    for k, t in enumerate(t_us):
+        rows.t_us[k] = t
+        rows.x[k] = 0.0
+        rows.x[k, 0:3] = (10.0, 0.0, -2.0)
+        rows.x[k, 3:6] = (1.0, -2.0, 0.25)
+        rows.x[k, 6:10] = (math.cos(math.radians(15)), 0.0, 0.0, math.sin(math.radians(15)))
+        rows.P[k] = np.eye(rows.P.shape[1]) * 0.04
+    rows.count = len(t_us)
+    return rows
+
+
+def decision(t_us: int, reason: str = "", rows: int = 2, nis: float = 1.5) -> Event:
+    measurement = Measurement(
+        aiding="gnss_velocity",
+        source="GPS_RAW_INT",
+        stamp_us=t_us + 100,
+        t_us=t_us,
+        rank=1,
+        z=np.zeros(rows),
+        R=np.eye(rows),
+        model=None,
+        parameters=np.zeros(1),
+        gate=5.0,
+        quality="",
+    )  # type: ignore[arg-type]
+    event = Event(measurement, (t_us, 1, "GPS_RAW_INT", 0), reason, nis)
+    event.innovation = np.arange(1.0, rows + 1.0)
+    event.sigma = np.full(rows, 0.5)
+    return event
+
+
+def read(path: Path) -> list[dict[str, str]]:
+    with path.open() as file:
+        return list(csv.DictReader(file))
+
+
+def test_estimates(tmp_path: Path) -> None:
+    with ResultWriter(tmp_path / "new" / "eskf") as writer:
+        writer.write_rows(block([1_000_000, 1_020_000]), FRAME)
+        assert writer.rows == 2
+        assert len(writer.table()[0]) == 0
+    path = tmp_path / "new" / "eskf" / "estimates.csv"
+    assert path.read_text().splitlines()[0] == ESTIMATES
+    first, second = read(path)
+    assert (first["t_us"], second["t_us"]) == ("1000000", "1020000")
+    assert len(first["lat_deg"].partition(".")[2]) == 10
+    row = {name: float(value) for name, value in first.items()}
+    lat, lon, alt = FRAME.to_lla(np.array([10.0, 0.0, -2.0]))
+    assert row["lat_deg"] == pytest.approx(math.degrees(lat), abs=1e-10)
+    assert row["lon_deg"] == pytest.approx(math.degrees(lon), abs=1e-10)
+    assert row["alt_m"] == pytest.approx(alt, abs=1e-3)
+    assert (row["p_n"], row["p_e"], row["p_d"]) == (10.0, 0.0, -2.0)
+    assert (row["v_n"], row["v_e"], row["v_d"]) == pytest.approx((1.0, -2.0, 0.25), abs=1e-4)
+    assert row["yaw"] == pytest.approx(math.radians(30), abs=1e-5)
+    assert row["sd_p_n"] == row["sd_v_d"] == pytest.approx(0.2)
+
+
+def test_bounds_and_what_is_kept(tmp_path: Path) -> None:
+    with ResultWriter(tmp_path, keep=True) as writer:
+        writer.bounds_us = (1_000_000, 2_000_000)
+        writer.write_rows(block([999_999, 1_000_000]), FRAME)
+        writer.write_rows(block([2_000_000, 2_000_001]), FRAME)
+        for t_us in (999_999, 1_000_000, 2_000_000, 2_000_001):
+            writer.write_decision(decision(t_us))
+    t_us, rows = writer.table()
+    assert t_us.tolist() == [1_000_000, 2_000_000]
+    assert rows[:, 0] == pytest.approx(FRAME.to_lla(np.array([10.0, 0.0, -2.0]))[0])  # radians
+    assert [row["t_us"] for row in read(tmp_path / "innovations.csv")] == ["1000000", "2000000"]
+
+
+def test_innovations(tmp_path: Path) -> None:
+    with ResultWriter(tmp_path) as writer:
+        writer.write_decision(decision(5_000_000))
+        writer.write_decision(decision(6_000_000, "gate", 3, 99.5))
+        late = decision(7_000_000, "too old", 0, math.nan)
+        writer.write_decision(late)
+    path = tmp_path / "innovations.csv"
+    assert path.read_text().splitlines()[0] == INNOVATIONS
+    fused, rejected, late_row = read(path)
+    assert fused["aiding"] == "gnss_velocity"
+    assert fused["source"] == "GPS_RAW_INT"
+    assert (fused["t_us"], fused["stamp_us"]) == ("5000000", "5000100")
+    assert (fused["accepted"], fused["reason"], float(fused["nis"])) == ("1", "", 1.5)
+    assert [fused[f"innovation_{k}"] for k in range(3)] == ["1", "2", ""]
+    assert (rejected["accepted"], rejected["reason"]) == ("0", "gate")
+    assert rejected["innovation_2"] == "3"
+    assert (late_row["reason"], late_row["nis"], late_row["sigma_0"]) == ("too old", "", "")
+
+
+def test_a_full_disk_is_said_in_one_line(tmp_path: Path) -> None:
+    class Full:
+        name = "estimates.csv"
+
+        def write(self, text: str) -> int:
+            raise OSError(28, "No space left on device")
+
+    writer = ResultWriter(tmp_path)
+    writer._estimates.close()
+    writer._estimates = Full()  # type: ignore[assignment]
+    with pytest.raises(OutputError, match=r"estimates.csv: No space left"):
+        writer.write_rows(block([1]), FRAME)
+
+
+def test_json_has_null_for_what_is_not_finite(tmp_path: Path) -> None:
+    content: dict[str, Any] = {
+        "a": math.nan,
+        "b": [1.0, math.inf, {"c": -math.inf}],
+        3: (1, 2),
+        "text": "nan",
+    }
+    write_json(tmp_path / "deep" / "summary.json", content)
+    text = (tmp_path / "deep" / "summary.json").read_text()
+    assert json.loads(text) == {
+        "a": None,
+        "b": [1.0, None, {"c": None}],
+        "3": [1, 2],
+        "text": "nan",
+    }
+    assert text.endswith("}\n")
+    assert list((tmp_path / "deep").iterdir()) == [tmp_path / "deep" / "summary.json"]
+
+
+def test_places_that_cannot_be_written(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    below = tmp_path / "file" / "below"
+    for write in (
+        lambda: check_folder(below),
+        lambda: ResultWriter(below),
+        lambda: write_text(below / "x.json", ""),
+    ):
+        with pytest.raises(OutputError, match="another"):
+            write()
+    check_folder(tmp_path / "fresh" / "folder")
+    assert list((tmp_path / "fresh" / "folder").iterdir()) == []
