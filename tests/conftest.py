@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from collections.abc import Callable, Generator
 from pathlib import Path
 
@@ -18,6 +19,12 @@ _WANTING = ("shared", "client", "mavsdk")
 
 
 @pytest.fixture(scope="session")
+def pytest_configure() -> None:
+    """A shell that runs us in the background lets SIGINT be ignored, by our children too: put it back."""
+    if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
 def shared() -> Callable[[str], Path]:
     """Return the path of a file of the shared folder; the test is skipped where it is absent."""
 
