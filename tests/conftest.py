@@ -18,13 +18,13 @@ _WANTING = ("shared", "client", "mavsdk")
 """Words in the reason of a skip that tell that something from outside the repository is missing."""
 
 
-@pytest.fixture(scope="session")
 def pytest_configure() -> None:
     """A shell that runs us in the background lets SIGINT be ignored, by our children too: put it back."""
     if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+@pytest.fixture(scope="session")
 def shared() -> Callable[[str], Path]:
     """Return the path of a file of the shared folder; the test is skipped where it is absent."""
 
