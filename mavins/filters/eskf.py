@@ -13,7 +13,7 @@ from mavins.nav.earth import TangentFrame
 from mavins.nav.ins import CORE_SIZE, Workspace, increments_from_rates, predict, workspace
 from mavins.nav.kernels import kernel
 from mavins.nav.layout import Layout, boxplus
-from mavins.nav.linalg import gated_update, innovation_sigma, reset_attitude_error
+from mavins.nav.linalg import gated_update, reset_attitude_error
 from mavins.types import FloatArray, IntArray
 
 HOLD_US = 200_000
@@ -131,9 +131,8 @@ def fuse(
     sigma: FloatArray,
 ) -> float:
     """Gated update of P, feedback of the correction into x, reset of the attitude error; returns the NIS."""
-    innovation_sigma(P, H, R, columns, sigma)
     d = np.empty(P.shape[0])
-    nis = gated_update(P, r, H, R, columns, gate, d)
+    nis = gated_update(P, r, H, R, columns, gate, d, sigma)
     if nis <= gate:
         boxplus(x, d, columns)
         reset_attitude_error(P, d[6:9])

@@ -180,9 +180,19 @@ CORE_SIZE = 15
 
 @kernel
 def apply_transition(
-    M: FloatArray, A: FloatArray, C: FloatArray, dt: float, out: FloatArray
+    M: FloatArray,
+    A: FloatArray,
+    C: FloatArray,
+    dt: float,
+    out: FloatArray,
+    n_p: int,
+    n_v: int,
+    n_t: int,
 ) -> None:
-    """Out (9, k) <- the moving rows of Phi M for M (n, k), whose first 15 rows are the core errors."""
+    """Out (9, k) <- the moving rows of Phi M for M (n, k), whose first 15 rows are the core errors.
+
+    Of the rows of p_n, v_n and theta_b only the first n_p <= n_v, n_v and n_t columns are found.
+    """
     h = 0.5 * dt
     for i in range(3):
         vv0, vv1, vv2 = A[V_V, i, 0], A[V_V, i, 1], A[V_V, i, 2]
@@ -194,7 +204,7 @@ def apply_transition(
         tt0, tt1, tt2 = A[T_T, i, 0], A[T_T, i, 1], A[T_T, i, 2]
         tg0, tg1, tg2 = A[T_G, i, 0], A[T_G, i, 1], A[T_G, i, 2]
         # one output row a loop: only then does the compiler work on several columns at once
-        for c in range(M.shape[1]):
+        for c in range(n_v):
             out[3 + i, c] = (
                 (vv0 * M[3, c] + vv1 * M[4, c] + vv2 * M[5, c])
                 + (vp0 * M[0, c] + vp1 * M[1, c] + vp2 * M[2, c])
@@ -202,12 +212,18 @@ def apply_transition(
                 + (vg0 * M[9, c] + vg1 * M[10, c] + vg2 * M[11, c])
                 + (va0 * M[12, c] + va1 * M[13, c] + va2 * M[14, c])
             )
-        for c in range(M.shape[1]):
+        for c in range(n_p):
             out[i, c] = M[i, c] + h * (M[3 + i, c] + out[3 + i, c])
-        for c in range(M.shape[1]):
+        for c in range(n_t):
             out[6 + i, c] = (tt0 * M[6, c] + tt1 * M[7, c] + tt2 * M[8, c]) + (
                 tg0 * M[9, c] + tg1 * M[10, c] + tg2 * M[11, c]
             )
+
+
+LANES = 4
+"""Loops over columns go on to a multiple of this, where scratch has room: they have no rest then."""
+TURNED = 12
+"""MOVING, so rounded up."""
 
 
 @kernel
@@ -217,18 +233,23 @@ def propagate_covariance(
     """P <- Phi P Phi^T, in place and exactly symmetric.
 
     Phi is the identity outside the moving rows, so the columns of the biases are done after one product, and
-    the second one is needed for the moving block only.
+    the second one is needed for the lower triangle of the moving block only.
     """
     n = P.shape[0]
     _, _, half, turned, block = work
-    apply_transition(P, A, C, dt, half)
-    for r in range(MOVING):
-        for c in range(CORE_SIZE):
+    apply_transition(P, A, C, dt, half, n, n, n)
+    for c in range(CORE_SIZE):
+        for r in range(MOVING):
             turned[c, r] = half[r, c]
+    for r in range(MOVING):
         for c in range(MOVING, n):
             P[r, c] = half[r, c]
+    for c in range(MOVING, n):
+        for r in range(MOVING):
             P[c, r] = half[r, c]
-    apply_transition(turned, A, C, dt, block)
+    # widths from an array, not constants: those would be unrolled into scalar code
+    third = turned.shape[1] // 3
+    apply_transition(turned, A, C, dt, block, third, 2 * third, 3 * third)
     for r in range(MOVING):
         for c in range(r + 1):
             P[r, c] = block[r, c]
@@ -242,8 +263,8 @@ def workspace(n: int) -> Workspace:
         np.empty((3, 3)),
         np.empty((BLOCKS, 3, 3)),
         np.empty((MOVING, n)),
-        np.empty((CORE_SIZE, MOVING)),
-        np.empty((MOVING, MOVING)),
+        np.zeros((CORE_SIZE, TURNED)),
+        np.empty((MOVING, TURNED)),
     )
 
 

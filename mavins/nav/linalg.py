@@ -1,9 +1,8 @@
-"""Linear algebra of the measurement update: whitening, sequential Joseph updates, the chi-square gate.
+"""Linear algebra of the measurement update: Cholesky gain, Joseph form, chi-square gate.
 
-Rows are whitened by the Cholesky factor of R and then taken one at a time. The sum of the normalized squares
-of the sequential innovations is the joint NIS r^T S^-1 r, so the gate is joint although no S is inverted.
-Sources: Bierman, "Factorization Methods for Discrete Sequential Estimation" (1977), chapters II and V; Bucy and
-Joseph (1968) for the update's form. Theory: docs/theory/update.md.
+The NIS comes out of the Cholesky factor of S before anything is changed, so the gate is joint over the rows and what it
+refuses leaves no trace. Sources: Groves (2013), section 3.2; Bucy and Joseph (1968) for the update's form; Golub and
+Van Loan (2013), section 4.2. Theory: docs/theory/update.md.
 """
 
 from __future__ import annotations
@@ -15,69 +14,27 @@ import numpy as np
 from mavins.nav.kernels import kernel
 from mavins.types import FloatArray, IntArray
 
+LANES = 8
+"""Rows of scratch arrays are padded with zeros to a multiple of this, so that a loop over one has no rest."""
+
 
 @kernel
-def whiten(r: FloatArray, H: FloatArray, R: FloatArray) -> bool:
-    """r <- L^-1 r, H <- L^-1 H in place with L L^T = R (m, m); False where R is not positive definite."""
-    m, n = H.shape
-    L = np.zeros((m, m))
+def cholesky(L: FloatArray, S: FloatArray) -> bool:
+    """L <- the lower triangle of L L^T = S (m, m), its diagonal inverted; False where S is not positive definite."""
+    m = S.shape[0]
     for i in range(m):
-        for j in range(i + 1):
-            s = R[i, j]
+        for j in range(i):
+            s = S[i, j]
             for k in range(j):
                 s -= L[i, k] * L[j, k]
-            if i == j:
-                if not (s > 0.0 and s < np.inf):
-                    return False
-                L[i, i] = math.sqrt(s)
-            else:
-                L[i, j] = s / L[j, j]
-    for i in range(m):
+            L[i, j] = s * L[j, j]
+        s = S[i, i]
         for k in range(i):
-            r[i] -= L[i, k] * r[k]
-            for c in range(n):
-                H[i, c] -= L[i, k] * H[k, c]
-        r[i] /= L[i, i]
-        for c in range(n):
-            H[i, c] /= L[i, i]
+            s -= L[i, k] * L[i, k]
+        if not (s > 0.0 and s < np.inf):
+            return False
+        L[i, i] = 1.0 / math.sqrt(s)
     return True
-
-
-@kernel
-def scalar_update(P: FloatArray, d: FloatArray, r: float, h: FloatArray, work: FloatArray) -> float:
-    """One row with unit noise: P <- (I - k h) P (I - k h)^T + k k^T, d <- d + k (r - h d), both in place.
-
-    P (n, n), d (n,), h (n,), `work` (2, n) is scratch. Returns the row's normalized innovation squared, or nan where
-    s = h P h^T + 1 is not a positive number, in which case nothing is changed. P stays symmetric to rounding; the
-    caller makes it exactly so after its last row.
-    """
-    n = P.shape[0]
-    w, k = work[0], work[1]
-    for i in range(n):
-        w[i] = 0.0
-    for j in range(n):
-        c = h[j]
-        if c != 0.0:
-            for i in range(n):
-                w[i] += P[j, i] * c
-    hw = 0.0
-    innovation = r
-    for i in range(n):
-        hw += h[i] * w[i]
-        innovation -= h[i] * d[i]
-    s = hw + 1.0
-    if not (s >= 1.0 and s < np.inf and math.fabs(innovation) < np.inf):
-        return math.nan
-    for i in range(n):
-        k[i] = w[i] / s
-    # A = P - k w^T, then A - (A h) k^T + k k^T with A h = w - k hw
-    for i in range(n):
-        k_i = k[i]
-        b_i = w[i] - k_i * hw - k_i
-        for j in range(n):
-            P[i, j] -= k_i * w[j] + b_i * k[j]
-        d[i] += k_i * innovation
-    return innovation * innovation / s
 
 
 @kernel
@@ -89,58 +46,100 @@ def gated_update(
     columns: IntArray,
     gate: float,
     d: FloatArray,
+    sigma: FloatArray,
 ) -> float:
-    """Update P (n, n) with m rows if their joint NIS is at most `gate`; returns the NIS, d (n,) <- the correction.
+    """Update P (n, n) with m rows if their NIS is at most `gate`; returns the NIS, d (n,) <- the correction K r.
 
     r (m,) is the residual z - h(x), H (m, 19) its Jacobian over the canonical errors, of which the layout's
-    `columns` are taken, R (m, m) the noise covariance. A NIS above the gate, or nan where R, S or the updated P is not
-    positive definite, means that P was left as it was and d must not be used.
+    `columns` are taken, R (m, m) the noise covariance; sigma (m,) <- sqrt(diag S), what the residuals should look like.
+    A NIS above the gate, or nan where R, S or the updated P is not positive definite, means that P was left as it was
+    and d must not be used.
+
+        W = P H^T,  S = H W + R = L L^T,  y = L^-1 r,  NIS = y^T y,  K = W S^-1
+        P <- (I - K H) P (I - K H)^T + K R K^T = P - K W^T - (W - K S) K^T
     """
     m, n = len(r), P.shape[0]
-    rows = np.empty((m, n))
-    res = np.empty(m)
-    updated = np.empty((n, n))
-    work = np.empty((2, n))
+    p = LANES * ((n + LANES - 1) // LANES)
+    # one array and views of it: a small allocation costs as much as a matrix product here
+    rows = np.zeros((3 * m + n, p))
+    W, K, B, A = rows[:m], rows[m : 2 * m], rows[2 * m : 3 * m], rows[3 * m :]
+    small = np.empty((2 * m + 1, m))
+    S, L, y = small[:m], small[m : 2 * m], small[2 * m]
+    for j in range(n):
+        for a in range(n):
+            A[j, a] = P[j, a]
+    # all but A are transposed; K holds the rows of H until they are no longer needed
+    for j in range(n):
+        column = columns[j]
+        for i in range(m):
+            h = H[i, column]
+            if h != 0.0:
+                K[i, j] = h
+                for a in range(p):
+                    W[i, a] += h * A[j, a]
     for i in range(m):
-        res[i] = r[i]
-        for j in range(n):
-            rows[i, j] = H[i, columns[j]]
-    if not whiten(res, rows, R):
+        for k in range(i + 1):
+            s = R[i, k]
+            for j in range(n):
+                s += K[i, j] * W[k, j]
+            S[i, k] = s
+            S[k, i] = s
+        sigma[i] = math.sqrt(S[i, i]) if S[i, i] > 0.0 else math.nan
+    if not (cholesky(L, R) and cholesky(L, S)):
         return math.nan
-    for i in range(n):
-        d[i] = 0.0
-        for j in range(n):
-            updated[i, j] = P[i, j]
     nis = 0.0
     for i in range(m):
-        nis += scalar_update(updated, d, res[i], rows[i], work)
+        s = r[i]
+        for k in range(i):
+            s -= L[i, k] * y[k]
+        y[i] = s * L[i, i]
+        nis += y[i] * y[i]
     if not nis <= gate:
         return nis
-    for i in range(n):
-        if not (updated[i, i] > 0.0 and math.fabs(d[i]) < np.inf):
-            return math.nan
-    for i in range(n):
-        P[i, i] = updated[i, i]
-        for j in range(i):
-            mean = 0.5 * (updated[i, j] + updated[j, i])
-            P[i, j] = mean
-            P[j, i] = mean
-    return nis
-
-
-@kernel
-def innovation_sigma(
-    P: FloatArray, H: FloatArray, R: FloatArray, columns: IntArray, sigma: FloatArray
-) -> None:
-    """Sigma (m,) <- sqrt(diag(H P H^T + R)), what the residuals of H (m, 19) should look like; shapes as above."""
-    n = P.shape[0]
-    for i in range(H.shape[0]):
-        s = R[i, i]
+    # K^T = L^-T L^-1 W^T: forwards over the rows, then backwards
+    for i in range(m):
+        c = L[i, i]
+        for a in range(p):
+            K[i, a] = c * W[i, a]
+        for k in range(i):
+            e = c * L[i, k]
+            for a in range(p):
+                K[i, a] -= e * K[k, a]
+    for back in range(m):
+        i = m - 1 - back
+        c = L[i, i]
+        for a in range(p):
+            K[i, a] *= c
+        for k in range(i + 1, m):
+            e = c * L[k, i]
+            for a in range(p):
+                K[i, a] -= e * K[k, a]
+    for a in range(n):
+        d[a] = 0.0
+    for i in range(m):
+        c = r[i]
         for a in range(n):
-            if H[i, columns[a]] != 0.0:
-                for b in range(n):
-                    s += H[i, columns[a]] * P[a, b] * H[i, columns[b]]
-        sigma[i] = math.sqrt(s) if s > 0.0 else math.nan
+            d[a] += c * K[i, a]
+        # nothing but the rounding of K: what makes the update Joseph's
+        for a in range(p):
+            B[i, a] = W[i, a]
+        for k in range(m):
+            c = S[i, k]
+            for a in range(p):
+                B[i, a] -= c * K[k, a]
+    for i in range(m):
+        for j in range(n):
+            k_j, b_j = K[i, j], B[i, j]
+            for a in range(p):
+                A[j, a] -= k_j * W[i, a] + b_j * K[i, a]
+    for a in range(n):
+        if not (A[a, a] > 0.0 and math.fabs(d[a]) < np.inf):
+            return math.nan
+    for j in range(n):
+        for a in range(j + 1):
+            P[j, a] = A[j, a]
+            P[a, j] = A[j, a]
+    return nis
 
 
 @kernel
@@ -153,7 +152,7 @@ def reset_attitude_error(P: FloatArray, theta: FloatArray) -> None:
         P[6, c] = t0 + a2 * t1 - a1 * t2
         P[7, c] = t1 - a2 * t0 + a0 * t2
         P[8, c] = t2 + a1 * t0 - a0 * t1
-    for c in range(n):
+    for c in range(6, 9):
         t0, t1, t2 = P[c, 6], P[c, 7], P[c, 8]
         P[c, 6] = t0 + a2 * t1 - a1 * t2
         P[c, 7] = t1 - a2 * t0 + a0 * t2

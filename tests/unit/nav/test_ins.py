@@ -57,7 +57,7 @@ def analytic(x: FloatArray, u: FloatArray, dt: float) -> FloatArray:
     g = ins.mechanize(x.copy(), phi, dv, dt, FRAME.r0_e, FRAME.C_ne, FRAME.w_ie_n, C)
     ins.transition(A, C, g, phi, dv, dt, FRAME.w_ie_n)
     Phi = np.eye(15)
-    ins.apply_transition(np.eye(15), A, C, dt, Phi[: ins.MOVING])
+    ins.apply_transition(np.eye(15), A, C, dt, Phi[: ins.MOVING], 15, 15, 15)
     return Phi
 
 

@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from mavins.nav.layout import BLOCKS, CORE, Layout, boxminus, boxplus
-from mavins.nav.linalg import gated_update, innovation_sigma, is_sane, reset_attitude_error
+from mavins.nav.linalg import gated_update, is_sane, reset_attitude_error
 from mavins.types import FloatArray
 
 CORE_COLUMNS = Layout.of().columns
@@ -34,7 +34,7 @@ def updated(
     P: FloatArray, r: FloatArray, H: FloatArray, R: FloatArray, columns: np.ndarray, gate: float
 ) -> tuple[float, FloatArray]:
     d = np.empty(len(columns))
-    return gated_update(P, r, H, R, columns, gate, d), d
+    return gated_update(P, r, H, R, columns, gate, d, np.empty(len(r))), d
 
 
 @pytest.mark.parametrize("columns", [CORE_COLUMNS, ALL_COLUMNS], ids=["15", "19"])
@@ -115,12 +115,14 @@ def test_an_exact_measurement_of_a_vague_state() -> None:
     assert_allclose(np.diag(P)[:3], 1e-8 / 5, rtol=1e-3)
 
 
-def test_sigmas_of_the_innovation() -> None:
-    P, _, H, R = problem(4, 3, CORE_COLUMNS)
-    sigma = np.empty(3)
-    innovation_sigma(P, H, R, CORE_COLUMNS, sigma)
+@pytest.mark.parametrize("gate", [0.0, math.inf])
+def test_sigmas_of_the_innovation(gate: float) -> None:
+    P, r, H, R = problem(4, 3, CORE_COLUMNS)
     h = H[:, CORE_COLUMNS]
-    assert_allclose(sigma, np.sqrt(np.diag(h @ P @ h.T + R)), rtol=1e-12)
+    expected = np.sqrt(np.diag(h @ P @ h.T + R))
+    sigma = np.empty(3)
+    gated_update(P, r, H, R, CORE_COLUMNS, gate, np.empty(15), sigma)
+    assert_allclose(sigma, expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize("size", [15, 19])
