@@ -7,10 +7,18 @@ import signal
 from collections.abc import Callable, Generator
 from pathlib import Path
 
+import hypothesis
 import pytest
 
 SHARED = Path(os.environ.get("MAVINS_SHARED") or Path(__file__).resolve().parents[2] / "shared")
 """The folder of recordings and data beside the repository, or wherever MAVINS_SHARED says."""
+
+# Without the compiler everything is a hundred times slower: a few examples then show that it runs at all.
+hypothesis.settings.register_profile("compiled", max_examples=200, deadline=None)
+hypothesis.settings.register_profile("interpreted", max_examples=8, deadline=None)
+hypothesis.settings.load_profile(
+    "interpreted" if os.environ.get("NUMBA_DISABLE_JIT") == "1" else "compiled"
+)
 
 REQUIRED = os.environ.get("MAVINS_REQUIRE_SHARED") == "1"
 

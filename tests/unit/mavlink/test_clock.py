@@ -199,7 +199,7 @@ steps = st.one_of(
     st.lists(st.integers(1, 9), min_size=1),
     st.booleans(),
 )
-@settings(max_examples=300, deadline=None)
+@settings(deadline=None)
 def test_however_rows_are_grouped_the_times_are_the_same(
     walk: list[tuple[int, bool, int]], groups: list[int], wraps: bool
 ) -> None:

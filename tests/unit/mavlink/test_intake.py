@@ -301,7 +301,10 @@ class TestHeading:
         line.put(gps_raw_int(fix), 1_000_000)
         line.put(heading(1_004_000), 1_004_000)
         (found,) = line.run().of("heading")
-        assert (found.yaw, found.sigma) == (pytest.approx(1.0, abs=1e-4), pytest.approx(0.02, rel=1e-4))
+        assert (found.yaw, found.sigma) == (
+            pytest.approx(1.0, abs=1e-4),
+            pytest.approx(0.02, rel=1e-4),
+        )
         assert found.source == "gps_yaw"
 
     def test_off(self) -> None:

@@ -128,7 +128,7 @@ imu_values = st.fixed_dictionaries(
         max_size=12,
     )
 )
-@settings(max_examples=100, deadline=None)
+@settings(deadline=None)
 def test_many_rows_are_bit_for_bit_the_single_ones(
     rows: list[tuple[str, dict[str, int], int]],
 ) -> None:
@@ -377,7 +377,7 @@ class TestTruth:
 @given(
     st.sampled_from(["HIGHRES_IMU", "GPS_INPUT", "ATTITUDE", "GPS_RAW_INT", "SIM_STATE"]), st.data()
 )
-@settings(max_examples=300, deadline=None)
+@settings(deadline=None)
 def test_any_payload_whatever_gives_an_answer(name: str, data: st.DataObject) -> None:
     fields = fields_of(name)
     body = data.draw(st.binary(min_size=1, max_size=fields.unpacker.size))

@@ -77,7 +77,7 @@ class TestSensors:
         st.floats(-400, 9000),
         st.tuples(st.floats(-50, 50), st.floats(-50, 50), st.floats(-5, 5)),
     )
-    @settings(max_examples=60, deadline=None)
+    @settings(deadline=None)
     def test_gps_raw_int_returns_to_its_resolution(
         self, lat: float, lon: float, alt: float, v_l: tuple[float, float, float]
     ) -> None:
@@ -245,7 +245,7 @@ class TestSmallTalk:
         st.text(st.characters(exclude_categories=["Cs", "Cc"]), max_size=400),
         st.integers(0, 200_000),
     )
-    @settings(max_examples=100, deadline=None)
+    @settings(deadline=None)
     def test_statustext_comes_together_again(self, text: str, text_id: int) -> None:
         payloads = codec.statustext(text, dialect.MAV_SEVERITY_WARNING, text_id)
         parts = []

@@ -84,7 +84,7 @@ def test_garbage_between_packets_costs_no_packet(garbage: list[bytes]) -> None:
 
 
 @given(st.binary(max_size=400))
-@settings(max_examples=300, deadline=None)
+@settings(deadline=None)
 def test_random_bytes_never_raise_and_every_byte_is_accounted_for(data: bytes) -> None:
     for frames in (scan(data), scan_tlog(data)):
         inside = int((frames.end - frames.start).sum())
@@ -93,7 +93,7 @@ def test_random_bytes_never_raise_and_every_byte_is_accounted_for(data: bytes) -
 
 
 @given(st.data())
-@settings(max_examples=200, deadline=None)
+@settings(deadline=None)
 def test_damaged_packets_cost_only_themselves(data: st.DataObject) -> None:
     sent = packets(data.draw(st.integers(1, 8)))
     wire, intact = [], []

@@ -93,7 +93,7 @@ def same(ours: Any, theirs: Any, code: str) -> bool:
 
 
 @given(any_message, st.sampled_from(["v1", "v2", "signed"]), headers)
-@settings(max_examples=400, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 def test_what_pymavlink_sends_we_read(
     message: tuple[str, dict[str, Any]], dress: str, header: tuple[int, int, int]
 ) -> None:
@@ -117,7 +117,7 @@ def test_what_pymavlink_sends_we_read(
 
 
 @given(any_message, headers)
-@settings(max_examples=400, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 def test_what_we_send_pymavlink_reads(
     message: tuple[str, dict[str, Any]], header: tuple[int, int, int]
 ) -> None:
