@@ -28,6 +28,9 @@ from mavins.mavlink.settings import SessionSettings
 from mavins.replay import ReplayOptions, grid_us, our_sysid, replay, vehicle_of
 from mavins.types import GnssFix, ImuSample, TruthSample
 
+# a flight through the estimator takes minutes where nothing is compiled
+pytestmark = pytest.mark.jit
+
 UNIX_US = 1_790_000_000_000_000
 LAT, LON, ALT = math.radians(47.4), math.radians(8.5), 500.0
 STILL = (0.0, 0.0, 0.0)

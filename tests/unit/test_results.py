@@ -26,6 +26,9 @@ from mavins.results import (
 )
 from mavins.types import Origin
 
+# a flight through the estimator takes minutes where nothing is compiled
+pytestmark = pytest.mark.jit
+
 FRAME = TangentFrame.at(Origin(math.radians(47.4), math.radians(8.5), 500.0))
 
 

@@ -15,6 +15,9 @@ from mavins.mavlink.codec import frame, heartbeat, highres_imu
 from mavins.service import Service, check_outputs, is_local
 from mavins.types import ImuSample
 
+# a flight through the estimator takes minutes where nothing is compiled
+pytestmark = pytest.mark.jit
+
 NOW_US = 1_790_000_000_000_000
 HERE = (0, "127.0.0.1", 5000)
 

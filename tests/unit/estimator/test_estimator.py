@@ -15,6 +15,9 @@ from mavins.nav.earth import TangentFrame
 from mavins.nav.so3 import euler_to_quat, quat_to_dcm
 from mavins.types import GnssFix, HeadingFix, Health, ImuTable, NavSolution, Origin
 
+# a flight through the estimator takes minutes where nothing is compiled
+pytestmark = pytest.mark.jit
+
 ORIGIN = Origin(0.8, 0.15, 500.0)
 ATTITUDE = (0.05, -0.08, 1.0)
 FRAME = TangentFrame.at(ORIGIN)

@@ -28,6 +28,9 @@ from mavins.mavlink.intake import HEARTBEAT_WAIT_US, PAIR_US, Intake
 from mavins.mavlink.sources import SourceSettings
 from mavins.types import GnssFix, HeadingFix, ImuSample, ImuTable
 
+# a flight through the estimator takes minutes where nothing is compiled
+pytestmark = pytest.mark.jit
+
 UNIX_US = 1_790_000_000_000_000
 GENERIC, ARDUPILOT, PX4, INVALID = 0, 3, 12, 8
 

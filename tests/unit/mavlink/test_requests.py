@@ -16,6 +16,9 @@ from mavins.mavlink.sources import SourceSettings
 from mavins.mavlink.streams import Home
 from mavins.mavlink.vehicle import Holder, Vehicle
 
+# a flight through the estimator takes minutes where nothing is compiled
+pytestmark = pytest.mark.jit
+
 ACCEPTED, TEMPORARILY_REJECTED, UNSUPPORTED = 0, 1, 3
 WITH_ESTIMATE = (30, 31, 32, 33, 49, 230, 242, 331)
 

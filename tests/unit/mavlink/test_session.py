@@ -15,6 +15,9 @@ from mavins.mavlink.settings import SessionSettings, StreamSettings
 from mavins.mavlink.sources import SourceSettings
 from mavins.types import ImuSample
 
+# a flight through the estimator takes minutes where nothing is compiled
+pytestmark = pytest.mark.jit
+
 NOW_US = 1_790_000_000_000_000
 HERE, THERE, AWAY = "here", "there", "away"
 

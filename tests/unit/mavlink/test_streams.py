@@ -16,6 +16,9 @@ from mavins.mavlink.settings import StreamSettings
 from mavins.mavlink.streams import Home, Streams, estimator_status_of, quality_of, sys_status_of
 from mavins.types import Health
 
+# a flight through the estimator takes minutes where nothing is compiled
+pytestmark = pytest.mark.jit
+
 
 def message(payload: Any) -> Any:
     return dialect.MAVLink(None).decode(bytearray(frame(payload, 100, 1, 0)))

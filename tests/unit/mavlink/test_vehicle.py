@@ -15,6 +15,9 @@ from mavins.mavlink.sources import SourceSettings
 from mavins.mavlink.vehicle import REASON_US, Holder, Vehicle
 from mavins.types import GnssFix, Health, ImuSample, Origin
 
+# a flight through the estimator takes minutes where nothing is compiled
+pytestmark = pytest.mark.jit
+
 START_US = 1_790_000_000_000_000
 
 
