@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -48,7 +47,7 @@ def _put_rows(t_us: IntArray, rows: FloatArray, decimals: IntArray, out: NDArray
             unit = 1
             for _ in range(decimals[j]):
                 unit *= 10
-            scaled = math.floor(abs(rows[k, j]) * unit + 0.5)
+            scaled = np.floor(abs(rows[k, j]) * unit + 0.5)
             if not scaled < _LARGEST:
                 continue
             n = int(scaled)

@@ -8,7 +8,14 @@ from typing import Final
 
 import numpy as np
 
-from mavins.mavlink.codec import IMU_KINDS, WRAPPING_IMU_KINDS, Frames, decode_imu
+from mavins.mavlink.codec import (
+    IMU_KINDS,
+    WRAPPING_IMU_KINDS,
+    Frames,
+    ImuMessage,
+    decode,
+    decode_imu,
+)
 from mavins.types import FloatArray, IntArray
 
 PREFERENCE: Final = (105, 26, 116, 129, 27)
@@ -73,6 +80,29 @@ class ImuSource:
             return True
         self._dropped["IMU not chosen yet"] += 1
         return False
+
+    def sample(self, frames: Frames, i: int) -> Samples | None:
+        """The usable sample in IMU packet i, or None: `samples` of one packet, by the decoder for one."""
+        assert self.chosen is not None
+        msgid, imu_id = self.chosen
+        if int(frames.msgid[i]) != msgid or int(frames.compid[i]) != self.compid:
+            return None
+        message = decode(frames, i)
+        if not isinstance(message, ImuMessage):
+            self._dropped["IMU invalid"] += 1
+            return None
+        if message.imu_id != imu_id:
+            self._dropped["IMU of another id"] += 1
+            return None
+        received_us = frames.t_us[i : i + 1]
+        self.newest_us = int(received_us[0])
+        return Samples(
+            np.array([i], dtype=np.int64),
+            np.array([message.stamp_us], dtype=np.int64),
+            message.accel_b[np.newaxis],
+            message.gyro_b[np.newaxis],
+            received_us,
+        )
 
     def samples(self, frames: Frames, at: IntArray) -> Samples:
         """The usable samples of the chosen message and sensor among the IMU packets `at` (N,)."""

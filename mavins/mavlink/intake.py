@@ -121,6 +121,9 @@ class Intake:
 
         IMU packets are put off until something comes whose place among them matters, and then go on together.
         """
+        if len(frames) == 1:
+            self._take_one(frames)
+            return
         for msgid, n in zip(*np.unique(frames.msgid, return_counts=True), strict=True):
             self.counts[name_of(int(msgid))] += int(n)
         if self.imu.chosen is None:
@@ -143,6 +146,18 @@ class Intake:
             self._take_other(frames, i)
         if taken < len(samples.at):
             self._place(samples, slice(taken, len(samples.at)))
+
+    def _take_one(self, frames: Frames) -> None:
+        """Take one packet: what `take` comes to for the usual datagram, without the tables."""
+        msgid = int(frames.msgid[0])
+        self.counts[name_of(msgid)] += 1
+        if msgid not in IMU_KINDS:
+            if not self._is_idle(msgid, int.from_bytes(frames.body(0, 4), "little") * 1000):
+                self._take_other(frames, 0)
+        elif self.imu.chosen is not None or self.imu.offer(frames, 0):
+            sample = self.imu.sample(frames, 0)
+            if sample is not None:
+                self._place(sample, slice(0, 1))
 
     def rates(self) -> dict[str, float]:
         """Messages per second of the time from the first to the newest IMU sample, by reception."""
