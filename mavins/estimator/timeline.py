@@ -118,7 +118,9 @@ class Timeline:
             event.reason = "too far ahead"
             return event
         insort(self._events, event, key=_event_order)
-        if measurement.t_us <= newest:
+        if measurement.t_us == newest and self._events[-1] is event:
+            self._fuse_now(self.state, event)
+        elif measurement.t_us <= newest:
             self._rewind(measurement.t_us)
         return None
 
@@ -148,6 +150,16 @@ class Timeline:
         if self._rows.count and self._write is not None and self.frame is not None:
             self._write(self._rows, self.frame)
         self._rows.count = 0
+
+    def _fuse_now(self, state: FilterState, event: Event) -> None:
+        """Fuse the last event of all at the newest row, where the state already is: nothing is to be run again.
+
+        A snapshot of this instant would lack the event; the one at the start stays, it lies before every event.
+        """
+        while len(self._snapshots) > 1 and self._snapshots[-1].t_us >= state.t_us:
+            self._snapshots.pop()
+        self.fusion.fuse(state, event)
+        self._snapshot(state)
 
     def _rewind(self, t_us: int) -> None:
         """Run again everything from just before t_us."""
