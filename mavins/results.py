@@ -21,6 +21,7 @@ from mavins.estimator.fusion import Event
 from mavins.estimator.solution import WIDTH, describe
 from mavins.filters.base import RowBlock
 from mavins.nav.earth import TangentFrame
+from mavins.status import finite
 from mavins.table_text import csv_lines
 from mavins.types import FloatArray, IntArray
 
@@ -158,14 +159,4 @@ def write_text(path: Path, text: str) -> None:
 
 def write_json(path: Path, content: dict[str, Any]) -> None:
     """Write a dictionary as JSON; what is not a finite number becomes null."""
-    write_text(path, json.dumps(_finite(content), indent=2) + "\n")
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {str(k): _finite(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(v) for v in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+    write_text(path, json.dumps(finite(content), indent=2) + "\n")

@@ -85,7 +85,7 @@ class StatusSnapshot:
 
 def to_json(snapshot: StatusSnapshot) -> str:
     """One line of JSON; a number that is not finite becomes null."""
-    return json.dumps(_finite(asdict(snapshot)), allow_nan=False, separators=(",", ":"))
+    return json.dumps(finite(asdict(snapshot)), allow_nan=False, separators=(",", ":"))
 
 
 def from_json(line: str) -> StatusSnapshot:
@@ -118,9 +118,10 @@ def _number(value: Any) -> Any:
     return math.nan if value is None else value
 
 
-def _finite(value: Any) -> Any:
+def finite(value: Any) -> Any:
+    """The same for JSON: a number that is not finite becomes None, tuples lists, keys strings."""
     if isinstance(value, dict):
-        return {str(key): _finite(item) for key, item in value.items()}
+        return {str(key): finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
+        return [finite(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -128,8 +128,6 @@ class Estimator:
         old, new = self.frame, TangentFrame.at(origin)
         self.frame = new
         if self._line.state is not None:
-            # what was estimated so far is written in the frame it was estimated in
-            self._line.flush()
             _carry_over(self._line.state, old, new)
             self._resets_before += 1
             self._decide(self._line.change_frame(new))

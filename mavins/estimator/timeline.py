@@ -76,6 +76,7 @@ class Timeline:
 
     def change_frame(self, frame: TangentFrame) -> list[Event]:
         """Go on in another frame with the state, which the caller has carried over; ends all decisions."""
+        # what was estimated so far is written in the frame it was estimated in
         self.flush()
         decided = self.end()
         self.frame = frame

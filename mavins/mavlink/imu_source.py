@@ -18,7 +18,7 @@ from mavins.mavlink.codec import (
 )
 from mavins.types import FloatArray, IntArray
 
-PREFERENCE: Final = (105, 26, 116, 129, 27)
+PREFERENCE: Final = tuple(IMU_KINDS)
 """IMU messages, the best first: HIGHRES_IMU, SCALED_IMU, SCALED_IMU2, SCALED_IMU3, RAW_IMU."""
 CHOICE_US: Final = 1_000_000
 """A lesser IMU message is chosen only when nothing better has come for this long (reception time)."""
