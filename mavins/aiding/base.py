@@ -32,3 +32,16 @@ class Measurement(NamedTuple):
     model: Model
     gate: float
     quality: str = ""
+
+    def linearize(self, x: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(r (m,), H (m, 19)) at a nominal state x (20,) with the IMU reading u (6,)."""
+        return self.model(x, u, self.z, self.parameters)
+
+    def residuals(self, X: FloatArray, u: FloatArray) -> FloatArray:
+        """The residuals (k, m) of nominal states X (k, 20)."""
+        from mavins.aiding.many import (
+            residuals,
+        )  # it knows every aiding, and each of them this file
+
+        out: FloatArray = residuals(self.rank, X, u, self.z, self.parameters)
+        return out

@@ -274,8 +274,12 @@ class Estimator:
 
     def _check_sanity(self) -> None:
         state = self._line.state
-        if state is not None and not is_sane(state.x, state.P):
+        if state is None:
+            return
+        if not is_sane(state.x, state.P):
             self._lost("the estimate is not finite", Health.DIVERGED)
+        elif complaint := self.filter.complaint(state):
+            self._lost(complaint, Health.DIVERGED)
 
     def _lost(self, reason: str, health: Health) -> None:
         """Give the samples and the estimate up and begin anew; the origin stays."""

@@ -66,19 +66,16 @@ class Fusion:
     def fuse(self, state: FilterState, event: Event) -> None:
         """Fuse one event at the state's time, which is the measurement's valid time; the event takes the outcome."""
         m = event.measurement
-        r, H = m.model(state.x, state.u, m.z, m.parameters)
-        event.innovation = r
-        event.sigma = np.empty(len(r))
         event.reason = m.quality
-        gate = -1.0 if m.quality else gate_threshold(m.gate, len(r))
-        event.nis = self._filter.update(state, r, H, m.R, gate, event.sigma)
+        gate = -1.0 if m.quality else gate_threshold(m.gate, len(m.z))
+        event.nis, event.innovation, event.sigma = self._filter.update(state, m, gate)
         if m.quality:
             return
         if event.nis <= gate:
             self._accept(m)
         else:
             event.reason = "numeric" if math.isnan(event.nis) else "gate"
-            self._reject(state, m, event, r, H)
+            self._reject(state, m, event)
 
     def _accept(self, m: Measurement) -> None:
         track = self.track
@@ -89,9 +86,7 @@ class Fusion:
                 since = _put(since, m.rank, -1)
             self.track = Track(accepted, since, track.resets, track.reset_times_us)
 
-    def _reject(
-        self, state: FilterState, m: Measurement, event: Event, r: FloatArray, H: FloatArray
-    ) -> None:
+    def _reject(self, state: FilterState, m: Measurement, event: Event) -> None:
         if m.aiding not in RESETTABLE:
             return
         place, first = RESETTABLE[m.aiding]
@@ -103,7 +98,8 @@ class Fusion:
             )
         if m.t_us - since < self._reset_after_us:
             return
-        _reset_block(state, first, r, H, m.R)
+        _reset_block(state, first, *m.linearize(state.x, state.u), m.R)
+        self._filter.adopt(state)
         event.reason = "reset"
         self._accept(m)
         self.track = self.track._replace(

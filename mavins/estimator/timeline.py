@@ -69,6 +69,7 @@ class Timeline:
 
     def begin(self, state: FilterState, frame: TangentFrame, track: Track) -> None:
         """Start from a state between the buffered IMU rows and walk to the newest; no row of this is written."""
+        self._filter.adopt(state)
         self.state, self.frame = state, frame
         self.fusion.track = track
         self._snapshots = [_Snapshot(state.t_us, state.copy(), track)]
@@ -81,6 +82,7 @@ class Timeline:
         decided = self.end()
         self.frame = frame
         if self.state is not None:
+            self._filter.adopt(self.state)
             self._snapshots = [_Snapshot(self.state.t_us, self.state.copy(), self.fusion.track)]
         return decided
 

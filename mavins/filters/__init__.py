@@ -6,21 +6,38 @@ from importlib import import_module
 from typing import Any, Final
 
 from mavins.errors import ConfigError
-from mavins.filters.base import Filter, FilterState, ImuNoise, RowBlock
+from mavins.filters.base import Filter, FilterState, ImuNoise, Observation, Outcome, RowBlock
+from mavins.filters.settings import FilterSettings
+from mavins.nav.layout import Layout
 
 REGISTRY: Final = {
     "eskf": "mavins.filters.eskf:Eskf",
 }
 
 
-def make(name: str, noise: ImuNoise) -> Filter:
-    """The filter registered under `name`."""
+def make(
+    name: str,
+    noise: ImuNoise,
+    layout: Layout | None = None,
+    settings: FilterSettings | None = None,
+) -> Filter:
+    """The filter registered under `name`, by default with the 15 core states."""
     if name not in REGISTRY:
         raise ConfigError(f"unknown filter {name!r}; there are: {', '.join(sorted(REGISTRY))}")
     module, _, attribute = REGISTRY[name].partition(":")
     factory: Any = getattr(import_module(module), attribute)
-    made: Filter = factory(noise)
+    made: Filter = factory(noise, layout or Layout.of(), settings or FilterSettings())
     return made
 
 
-__all__ = ["REGISTRY", "Filter", "FilterState", "ImuNoise", "RowBlock", "make"]
+__all__ = [
+    "REGISTRY",
+    "Filter",
+    "FilterSettings",
+    "FilterState",
+    "ImuNoise",
+    "Observation",
+    "Outcome",
+    "RowBlock",
+    "make",
+]

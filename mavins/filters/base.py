@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, field
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -17,16 +17,19 @@ class FilterState:
     """A filter's whole memory: nominal `x` (20,), covariance `P` (n, n), last IMU reading `u` (6,), time `t_us`.
 
     `u` is [gyro_b (3), accel_b (3)] as read, not bias-corrected, valid at t_us. Filters change the arrays in place.
+    P is over the canonical errors of the filter's layout between any two calls, whatever errors the filter itself
+    works in; `own` is for what a filter keeps beside it (a square root of P), and empty for most.
     """
 
     x: FloatArray
     P: FloatArray
     u: FloatArray
     t_us: int
+    own: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
 
     def copy(self) -> FilterState:
         """A copy that shares nothing with this one."""
-        return FilterState(self.x.copy(), self.P.copy(), self.u.copy(), self.t_us)
+        return FilterState(self.x.copy(), self.P.copy(), self.u.copy(), self.t_us, self.own.copy())
 
 
 @dataclass(slots=True)
@@ -67,10 +70,38 @@ class ImuNoise:
         return np.array([self.gyro, self.accel, self.gyro_bias_walk, self.accel_bias_walk])
 
 
+class Observation(Protocol):
+    """A measurement as a filter sees it: how far it is from what a state predicts."""
+
+    @property
+    def R(self) -> FloatArray:
+        """The noise covariance (m, m)."""
+
+    def linearize(self, x: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(r (m,), H (m, 19)): the residual z - h(x), and the Jacobian of h over the canonical errors."""
+
+    def residuals(self, X: FloatArray, u: FloatArray) -> FloatArray:
+        """The residuals (k, m) of nominal states X (k, 20)."""
+
+
+class Outcome(NamedTuple):
+    """What has become of a measurement: its NIS, the innovation (m,) and sqrt(diag S) (m,), both before the update."""
+
+    nis: float
+    innovation: FloatArray
+    sigma: FloatArray
+
+
 class Filter(Protocol):
     """A navigation filter over a `Layout` of error states."""
 
     layout: Layout
+
+    def adopt(self, state: FilterState) -> None:
+        """Take note that x or P was set or changed by somebody else: at a start, a reset, a change of frame."""
+
+    def complaint(self, state: FilterState) -> str:
+        """Why this filter cannot go on from `state`, though it is finite; nothing if it can."""
 
     def walk(
         self,
@@ -92,17 +123,9 @@ class Filter(Protocol):
         none if negative); `previous_us` is the stamp of the IMU row before the first.
         """
 
-    def update(
-        self,
-        state: FilterState,
-        r: FloatArray,
-        H: FloatArray,
-        R: FloatArray,
-        gate: float,
-        sigma: FloatArray,
-    ) -> float:
-        """Fuse residual r (m,) with its Jacobian over the canonical errors H (m, 19) and noise R (m, m).
+    def update(self, state: FilterState, observation: Observation, gate: float) -> Outcome:
+        """Fuse a measurement whose NIS is at most `gate`.
 
-        Returns the NIS and writes sqrt(diag(H P H^T + R)) to `sigma` (m,). Above `gate`, or nan where the result would
-        not be positive definite, the state was left alone; a negative gate leaves it alone in any case.
+        Above the gate, or where the NIS is nan because the result would not be positive definite, the state is left
+        alone; a negative gate leaves it alone in any case.
         """

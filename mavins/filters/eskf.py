@@ -8,20 +8,22 @@ from __future__ import annotations
 
 import numpy as np
 
-from mavins.filters.base import FilterState, ImuNoise, RowBlock
+from mavins.filters.base import FilterState, ImuNoise, Observation, Outcome, RowBlock
+from mavins.filters.settings import FilterSettings
+from mavins.filters.walking import (
+    is_due,
+    noise_scale,
+    pieces_of,
+    put_row,
+    reading_at,
+    reading_within,
+)
 from mavins.nav.earth import TangentFrame
-from mavins.nav.ins import CORE_SIZE, Workspace, increments_from_rates, predict, workspace
+from mavins.nav.ins import Workspace, increments_from_rates, predict, workspace
 from mavins.nav.kernels import kernel
 from mavins.nav.layout import Layout, boxplus
 from mavins.nav.linalg import gated_update, reset_attitude_error
 from mavins.types import FloatArray, IntArray
-
-HOLD_US = 200_000
-"""Across a longer gap between samples the older reading is held rather than joined to the newer by a line."""
-SUBSTEP = 0.1
-"""A longer interval (s) is cut: the error dynamics are linearized over one step."""
-GAP_NOISE = 10.0
-"""The root PSDs of gyro and accelerometer are this many times larger while a reading is held."""
 
 
 @kernel
@@ -38,29 +40,12 @@ def step(
     work: Workspace,
 ) -> None:
     """Move x and P, in place, from the reading `u` to the reading `row` (6,) that follows it by dt_us; u <- row."""
-    dt = dt_us * 1e-6
-    held = dt_us > HOLD_US
-    pieces = 1 + int((dt_us - 1) // (SUBSTEP * 1e6))
-    h = dt / pieces
-    bg0, bg1, bg2 = x[10], x[11], x[12]
-    ba0, ba1, ba2 = x[13], x[14], x[15]
-    scale = GAP_NOISE if held else 1.0
-    w0 = (u[0] - bg0, u[1] - bg1, u[2] - bg2)
-    f0 = (u[3] - ba0, u[4] - ba1, u[5] - ba2)
-    w1, f1 = w0, f0
+    pieces = pieces_of(dt_us)
+    h = dt_us * 1e-6 / pieces
+    scale = noise_scale(dt_us)
+    w0, f0 = reading_within(x, u, row, 0.0, dt_us)
     for i in range(pieces):
-        if not held:
-            s = (i + 1.0) / pieces
-            w1 = (
-                u[0] + s * (row[0] - u[0]) - bg0,
-                u[1] + s * (row[1] - u[1]) - bg1,
-                u[2] + s * (row[2] - u[2]) - bg2,
-            )
-            f1 = (
-                u[3] + s * (row[3] - u[3]) - ba0,
-                u[4] + s * (row[4] - u[4]) - ba1,
-                u[5] + s * (row[5] - u[5]) - ba2,
-            )
+        w1, f1 = reading_within(x, u, row, (i + 1.0) / pieces, dt_us)
         phi, dv = increments_from_rates(w0, f0, w1, f1, h)
         predict(x, P, phi, dv, h, noise, scale, r0_e, C_ne, w_ie_n, work)
         w0, f0 = w1, f1
@@ -96,24 +81,13 @@ def walk_rows(
     for k in range(len(t_us)):
         if t_us[k] > until_us:
             if until_us > t:
-                s = (until_us - t) / (t_us[k] - t)
-                reading = np.empty(6)
-                for i in range(6):
-                    reading[i] = u[i] + s * (imu[k, i] - u[i])
+                reading = reading_at(u, imu[k], (until_us - t) / (t_us[k] - t))
                 step(x, P, u, reading, until_us - t, noise, r0_e, C_ne, w_ie_n, work)
             break
         step(x, P, u, imu[k], t_us[k] - t, noise, r0_e, C_ne, w_ie_n, work)
         t = t_us[k]
-        if grid_us == 0 or (grid_us > 0 and t // grid_us > before // grid_us):
-            # element by element: numba takes long to compile an assignment of slices
-            out_t[count] = t
-            for i in range(len(x)):
-                out_x[count, i] = x[i]
-            for i in range(len(u)):
-                out_u[count, i] = u[i]
-            for i in range(CORE_SIZE):
-                for j in range(CORE_SIZE):
-                    out_P[count, i, j] = P[i, j]
+        if is_due(t, before, grid_us):
+            put_row(out_t, out_x, out_u, out_P, count, t, x, u, P)
             count += 1
         before = t
     return count
@@ -142,9 +116,16 @@ def fuse(
 class Eskf:
     """The error-state Kalman filter behind the estimator's `Filter` interface."""
 
-    def __init__(self, noise: ImuNoise, layout: Layout | None = None) -> None:
-        self.layout = layout or Layout.of()
+    def __init__(self, noise: ImuNoise, layout: Layout, settings: FilterSettings) -> None:
+        self.layout = layout
         self._noise = noise.as_array()
+
+    def adopt(self, state: FilterState) -> None:
+        """Nothing to do: the state is all that this filter has."""
+
+    def complaint(self, state: FilterState) -> str:
+        """No state is beyond this filter."""
+        return ""
 
     def walk(
         self,
@@ -180,14 +161,9 @@ class Eskf:
         )
         state.t_us = until_us
 
-    def update(
-        self,
-        state: FilterState,
-        r: FloatArray,
-        H: FloatArray,
-        R: FloatArray,
-        gate: float,
-        sigma: FloatArray,
-    ) -> float:
+    def update(self, state: FilterState, observation: Observation, gate: float) -> Outcome:
         """Fuse a measurement."""
-        return float(fuse(state.x, state.P, r, H, R, self.layout.columns, gate, sigma))
+        r, H = observation.linearize(state.x, state.u)
+        sigma = np.empty(len(r))
+        nis = fuse(state.x, state.P, r, H, observation.R, self.layout.columns, gate, sigma)
+        return Outcome(nis, r, sigma)

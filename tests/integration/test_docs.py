@@ -33,7 +33,7 @@ WHOLE = (ROOT / "Makefile").exists()
 """False where only tests and docs were copied beside an installed package."""
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 TUTORIAL = ROOT / "docs" / "tutorials" / "first-flight.md"
-WITHOUT_THEORY = {"__init__", "base", "kernels"}
+WITHOUT_THEORY = {"__init__", "base", "kernels", "many", "settings", "walking"}
 
 _LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
 _CODE = re.compile(r"`([^`\n]+)`")

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from mavins.aiding import gnss_position, heading
-from mavins.filters import FilterState, ImuNoise, RowBlock, make
-from mavins.filters.eskf import GAP_NOISE, Eskf
+from mavins.aiding import Measurement, gnss_position, heading
+from mavins.filters import FilterSettings, FilterState, ImuNoise, RowBlock, make
+from mavins.filters.eskf import Eskf
+from mavins.filters.walking import GAP_NOISE
 from mavins.nav.earth import TangentFrame, gravity_n
 from mavins.nav.layout import BLOCKS, Layout
 from mavins.types import FloatArray, Origin
@@ -28,12 +30,23 @@ def standing() -> FilterState:
     return FilterState(x, np.diag(PRIOR), u, 0)
 
 
+def filter_of(noise: ImuNoise, layout: Layout | None = None) -> Eskf:
+    return Eskf(noise, layout or Layout.of(), FilterSettings())
+
+
 def walk(
     algorithm: Eskf, state: FilterState, t_us: list[int], imu: FloatArray, grid_us: int = -1
 ) -> RowBlock:
     rows = RowBlock.empty(len(t_us))
     algorithm.walk(state, FRAME, np.array(t_us), imu, t_us[-1], state.t_us, grid_us, rows)
     return rows
+
+
+def observation(
+    aiding: Any, z: FloatArray, R: FloatArray, parameters: FloatArray | None = None
+) -> Measurement:
+    parameters = np.empty(0) if parameters is None else parameters
+    return Measurement(aiding.NAME, aiding.RANK, "", 0, 0, z, R, parameters, aiding.model, 5.0)
 
 
 def assert_covariance(P: FloatArray) -> None:
@@ -47,12 +60,10 @@ def assert_covariance(P: FloatArray) -> None:
 def test_covariance_after_a_million_steps(noise: ImuNoise) -> None:
     """Tight GNSS and heading against a vague or a precise IMU, over more than an hour at 250 Hz."""
     rng = np.random.default_rng(8)
-    algorithm = Eskf(noise)
+    algorithm = filter_of(noise)
     state = standing()
     quiet = state.u.copy()
     steps, run = 1_000_000, 250
-    H = np.zeros((3, 19))
-    H[:, :3] = np.eye(3)
     R = np.eye(3) * 0.02**2
     place = np.concatenate([FRAME.r0_e, FRAME.C_ne.ravel()])
     t = np.arange(1, run + 1) * 4000
@@ -64,9 +75,10 @@ def test_covariance_after_a_million_steps(noise: ImuNoise) -> None:
         until = int(stamps[-1])
         algorithm.walk(state, FRAME, stamps, quiet + shake, until, state.t_us, -1, rows)
         z = rng.normal(size=3) * 0.02
-        algorithm.update(state, z - state.x[:3], H, R, math.inf, np.empty(3))
-        r, h = heading.model(state.x, state.u, np.zeros(1), place)
-        algorithm.update(state, r, h, np.array([[1e-4]]), math.inf, np.empty(1))
+        algorithm.update(state, observation(gnss_position, z, R), math.inf)
+        algorithm.update(
+            state, observation(heading, np.zeros(1), np.eye(1) * 1e-4, place), math.inf
+        )
         if k % 400 == 0:
             assert_covariance(state.P)
     assert state.t_us == steps * 4000
@@ -78,7 +90,7 @@ def test_covariance_after_a_million_steps(noise: ImuNoise) -> None:
 
 def test_a_standing_vehicle_stays_where_it_is() -> None:
     state = standing()
-    walk(Eskf(NOISE), state, [10_000 * k for k in range(1, 1001)], np.tile(state.u, (1000, 1)))
+    walk(filter_of(NOISE), state, [10_000 * k for k in range(1, 1001)], np.tile(state.u, (1000, 1)))
     assert np.linalg.norm(state.x[:3]) < 1e-6
     assert np.linalg.norm(state.x[3:6]) < 1e-6
     assert_allclose(state.x[6:10], [1, 0, 0, 0], atol=1e-9)
@@ -91,8 +103,8 @@ def test_biases_are_taken_off_the_readings() -> None:
     imu = np.tile(clean.u + np.array([0.1, 0.2, 0.3, 0.5, 1.0, 0.3]), (100, 1))
     clean.u = imu[0].copy()
     biased.u = imu[0] + biased.x[10:16]
-    walk(Eskf(NOISE), clean, t, imu)
-    walk(Eskf(NOISE), biased, t, imu + biased.x[10:16])
+    walk(filter_of(NOISE), clean, t, imu)
+    walk(filter_of(NOISE), biased, t, imu + biased.x[10:16])
     assert_allclose(biased.x[:10], clean.x[:10], atol=1e-11)
 
 
@@ -101,7 +113,7 @@ def test_across_a_gap_readings_are_joined_or_held(gap_us: int, held: bool) -> No
     state = standing()
     row = state.u.copy()
     row[3] += 1.0
-    walk(Eskf(NOISE), state, [gap_us], row[np.newaxis])
+    walk(filter_of(NOISE), state, [gap_us], row[np.newaxis])
     dt = gap_us * 1e-6
     assert state.x[3] == pytest.approx(0.0 if held else 0.5 * dt, abs=1e-5)
     assert_array_equal(state.u, row)
@@ -116,7 +128,7 @@ def test_a_walk_does_not_depend_on_its_slices() -> None:
     t = np.cumsum(rng.integers(1000, 9000, 300)).tolist()
     whole, sliced = standing(), standing()
     imu = whole.u + rng.normal(size=(300, 6))
-    algorithm = Eskf(NOISE)
+    algorithm = filter_of(NOISE)
     all_rows = walk(algorithm, whole, t, imu, 20_000)
     got = []
     for part in np.array_split(np.arange(300), [1, 2, 40, 41, 200]):
@@ -134,12 +146,12 @@ def test_a_walk_does_not_depend_on_its_slices() -> None:
 def test_rows_are_at_the_first_stamp_of_each_grid_cell() -> None:
     state = standing()
     t = [3_000, 19_000, 21_000, 39_000, 40_000, 95_000]
-    rows = walk(Eskf(NOISE), state, t, np.tile(state.u, (6, 1)), 20_000)
+    rows = walk(filter_of(NOISE), state, t, np.tile(state.u, (6, 1)), 20_000)
     assert rows.t_us[: rows.count].tolist() == [21_000, 40_000, 95_000]
 
 
 def test_an_instant_between_rows_is_reached_along_the_line() -> None:
-    algorithm, direct, stopped = Eskf(NOISE), standing(), standing()
+    algorithm, direct, stopped = filter_of(NOISE), standing(), standing()
     row = direct.u + np.array([0.02, 0.01, 0.0, 0.5, 0.0, 0.2])
     walk(algorithm, direct, [10_000], row[np.newaxis])
     halfway = stopped.u + 0.4 * (row - stopped.u)
@@ -154,11 +166,13 @@ def test_an_instant_between_rows_is_reached_along_the_line() -> None:
 
 
 def test_a_correction_goes_into_the_state_and_the_error_is_zero_again() -> None:
-    algorithm, state = Eskf(NOISE), standing()
+    algorithm, state = filter_of(NOISE), standing()
     state.P[6:9, 0:3] = state.P[0:3, 6:9] = 0.03 * np.eye(3)
-    r, H = gnss_position.model(state.x, state.u, np.array([1.0, 0.0, 0.0]), np.empty(0))
-    sigma = np.empty(3)
-    nis = algorithm.update(state, r, H, np.eye(3), 100.0, sigma)
+    z = np.array([1.0, 0.0, 0.0])
+    nis, innovation, sigma = algorithm.update(
+        state, observation(gnss_position, z, np.eye(3)), 100.0
+    )
+    assert_array_equal(innovation, z)
     assert nis == pytest.approx(0.5)
     assert_allclose(sigma, math.sqrt(2.0))
     assert_allclose(state.x[:3], [0.5, 0, 0], atol=1e-12)
@@ -168,7 +182,7 @@ def test_a_correction_goes_into_the_state_and_the_error_is_zero_again() -> None:
 
 
 def test_a_filter_of_more_states_leaves_the_common_ones_alike() -> None:
-    few, many = Eskf(NOISE), Eskf(NOISE, Layout.of(BLOCKS))
+    few, many = filter_of(NOISE), filter_of(NOISE, Layout.of(BLOCKS))
     a, b = standing(), standing()
     b.P = np.eye(19) * 1e-18
     b.P[:15, :15] = a.P
@@ -176,8 +190,7 @@ def test_a_filter_of_more_states_leaves_the_common_ones_alike() -> None:
     imu = a.u + np.random.default_rng(1).normal(size=(50, 6)) * 0.1
     for algorithm, state in ((few, a), (many, b)):
         walk(algorithm, state, t, imu)
-        r, H = gnss_position.model(state.x, state.u, np.ones(3), np.empty(0))
-        algorithm.update(state, r, H, np.eye(3), 1e9, np.empty(3))
+        algorithm.update(state, observation(gnss_position, np.ones(3), np.eye(3)), 1e9)
     assert_allclose(b.x[:16], a.x[:16], atol=1e-12)
     assert_allclose(b.P[:15, :15], a.P, rtol=1e-9, atol=1e-12)
 
