@@ -27,6 +27,7 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     "info": ("mavins.cli.info", "show what a log holds"),
     "config": ("mavins.cli.config", "show the configuration as commented YAML, or check a file"),
     "warmup": ("mavins.cli.warmup", "compile every kernel now, so that later starts are quick"),
+    "example": ("mavins.cli.example", "reproduce an article's system and judge it"),
     "demo": ("mavins.cli.demo", "fly the simulator against the service and judge the estimate"),
 }
 """Name -> (module, one line for the overview)."""

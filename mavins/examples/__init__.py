@@ -1,0 +1,11 @@
+"""The examples: each reproduces an article's system on data, and judges itself by stated figures.
+
+One file per example with `run(data, out, say)`, one line here each. They are imported when they are asked for.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+REGISTRY: Final[dict[str, tuple[str, str]]] = {}
+"""Name -> (module, one line for the overview)."""
