@@ -11,7 +11,7 @@ from typing import Protocol
 from mavins.errors import MavinsError
 
 
-class MissingData(MavinsError):
+class MissingDataError(MavinsError):
     """The data that an example works on are not there."""
 
 
@@ -43,15 +43,17 @@ class Example(Protocol):
     ) -> Sequence[Figure]:
         """Run on the folder `data`, write pictures and tables into `out` if one is given, say what is done.
 
-        `data` is None where no folder of data is known; MissingData where what is needed is not in it.
+        `data` is None where no folder of data is known; MissingDataError where what is needed is not in it.
         """
 
 
 def needed(data: Path | None, *parts: str) -> Path:
-    """The path below the folder of data; MissingData says how to name one."""
+    """The path below the folder of data; MissingDataError says how to name one."""
     if data is None:
-        raise MissingData("no folder of data: name one with --data DIR or $MAVINS_DATA")
+        raise MissingDataError("no folder of data: name one with --data DIR or $MAVINS_DATA")
     path = data.joinpath(*parts)
     if not path.exists():
-        raise MissingData(f"{path} is missing: name the folder of data with --data or $MAVINS_DATA")
+        raise MissingDataError(
+            f"{path} is missing: name the folder of data with --data or $MAVINS_DATA"
+        )
     return path
