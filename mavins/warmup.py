@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
 import time
 from collections.abc import Callable
+from typing import Final
 
 import numpy as np
 
+from mavins.aiding import gnss_position
 from mavins.config import Config
 from mavins.estimator.estimator import Estimator, Outputs
 from mavins.estimator.solution import WIDTH, describe
 from mavins.evaluation.errors import errors_against
 from mavins.evaluation.live import LiveTruth
-from mavins.filters.base import RowBlock
+from mavins.filters import Filter, FilterState, ImuNoise, RowBlock, make
 from mavins.mavlink.codec import (
     attitude,
     frame,
@@ -26,27 +30,72 @@ from mavins.mavlink.codec import (
 )
 from mavins.mavlink.session import Session
 from mavins.nav.earth import TangentFrame
-from mavins.nav.kernels import CACHE, is_cached, mark_cached
+from mavins.nav.kernels import CACHE, compiles, is_cached, mark_cached
 from mavins.table_text import csv_lines
-from mavins.types import GnssFix, ImuSample, TruthSample
+from mavins.types import GnssFix, ImuSample, Origin, TruthSample
 
 _STEP_US = 50_000
 _LAT, _LON, _ALT = math.radians(47.0), math.radians(8.0), 400.0
 
 
-def compile_all(report: Callable[[str], None]) -> None:
-    """Compile what is not in the cache yet; says so if that will take a while."""
-    cold = not is_cached()
+Report = Callable[[str], None]
+
+
+def compile_all(report: Report, filter_name: str = "eskf") -> None:
+    """Have every kernel that is used with a filter ready; says so if that will take a while.
+
+    What is not in the cache yet is compiled by processes of their own, one after the other: the compiler's memory
+    goes with them, and this process only loads what they leave.
+    """
+    cold = compiles() and not is_cached(filter_name)
     started = time.monotonic()
     if cold:
-        report("compiling the kernels (first start only, up to half a minute) ...")
-    _fly(report if cold else lambda line: None)
+        report("compiling the kernels (first start only, up to a minute) ...")
+        if CACHE is not None:
+            for stage in STAGES:
+                _in_a_process(stage, filter_name, report)
+    _results(filter_name, lambda line: None)
+    _fly(filter_name, report if cold and CACHE is None else lambda line: None)
     if cold:
-        mark_cached()
+        mark_cached(filter_name)
         kept = (
             f"kept in {CACHE}" if CACHE is not None else "not kept: no cache folder can be written"
         )
         report(f"compiled in {time.monotonic() - started:.0f} s, {kept}")
+
+
+def _in_a_process(stage: str, filter_name: str, report: Report) -> None:
+    """Run one stage in a process of its own; if it fails, the flight here compiles what is missing."""
+    command = [sys.executable, "-m", "mavins.warmup", stage, filter_name]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        for line in process.stdout:
+            report(line.rstrip())
+
+
+def _standing(filter_name: str) -> tuple[Filter, FilterState, TangentFrame]:
+    x, u = np.zeros(20), np.array([0.0, 0.0, 0.0, 0.0, 0.0, -9.81])
+    x[6] = 1.0
+    algorithm = make(filter_name, ImuNoise(0.01, 0.1, 1e-4, 1e-3))
+    state = FilterState(x, 0.01 * np.eye(algorithm.layout.size), u, 0)
+    algorithm.adopt(state)
+    return algorithm, state, TangentFrame.at(Origin(_LAT, _LON, _ALT))
+
+
+def _walk(filter_name: str, report: Report) -> None:
+    """A step of the filter: its largest kernel."""
+    report(f"  steps of {filter_name}")
+    algorithm, state, frame_n = _standing(filter_name)
+    imu, rows = np.tile(state.u, (1, 1)), RowBlock.empty(1)
+    algorithm.walk(state, frame_n, np.array([_STEP_US]), imu, _STEP_US, 0, 0, rows)
+
+
+def _update(filter_name: str, report: Report) -> None:
+    """A measurement into the filter."""
+    report(f"  updates of {filter_name}")
+    algorithm, state, frame_n = _standing(filter_name)
+    fix = GnssFix(0, _LAT, _LON, _ALT, None, 3)
+    algorithm.update(state, gnss_position.measure(fix, 0, frame_n, 1.0, 1.0, 5.0), 30.0)
 
 
 def _describe(block: RowBlock, frame_n: TangentFrame) -> None:
@@ -56,10 +105,10 @@ def _describe(block: RowBlock, frame_n: TangentFrame) -> None:
     csv_lines(block.t_us[:n], rows, np.zeros(WIDTH, dtype=np.int64))
 
 
-def _fly(report: Callable[[str], None]) -> None:
+def _fly(filter_name: str, report: Report) -> None:
     """Four seconds of packets: 20 Hz IMU, 5 Hz late fixes, heading, truth; with a rewind and a late sample."""
     config = Config()
-    estimator = Estimator(config, config.filter, Outputs(20_000, _describe))
+    estimator = Estimator(config, filter_name, Outputs(20_000, _describe))
     session = Session(config.mavlink, config.streams, config.sources, lambda sysid: estimator)
     truth = LiveTruth()
     session.add_peer("warm-up")
@@ -92,6 +141,19 @@ def _fly(report: Callable[[str], None]) -> None:
             report(f"  {stage}")
     estimator.finish()
     scan_tlog(b"")
+
+
+def _results(filter_name: str, report: Report) -> None:
+    """Rows as they are written, and errors as they are judged."""
+    report("  results")
+    frame_n = TangentFrame.at(Origin(_LAT, _LON, _ALT))
+    rows = RowBlock.empty(1)
+    rows.count = 1
+    for table in (rows.t_us, rows.x, rows.u, rows.P):
+        table[:] = 1
+    _describe(rows, frame_n)
+    frame_n.local_level(_LAT, _LON)
+    frame_n.from_lla(_LAT, _LON, _ALT)
     one, two = np.zeros((1, 3)), np.zeros((2, 3))
     truth_table = (np.arange(2), two, two, np.tile([1.0, 0.0, 0.0, 0.0], (2, 1)))
     errors_against(np.zeros(1, dtype=np.int64), one, one, one, truth_table)
@@ -99,3 +161,15 @@ def _fly(report: Callable[[str], None]) -> None:
 
 def _sample(t_us: int) -> ImuSample:
     return ImuSample(t_us, np.array([0.0, 0.0, -9.81]), np.zeros(3))
+
+
+STAGES: Final[dict[str, Callable[[str, Report], None]]] = {
+    "walk": _walk,
+    "update": _update,
+    "results": _results,
+    "flight": _fly,
+}
+"""What is compiled by a process each, in this order: each needs less memory than all at once."""
+
+if __name__ == "__main__":
+    STAGES[sys.argv[1]](sys.argv[2], lambda line: print(line, flush=True))

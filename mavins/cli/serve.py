@@ -78,7 +78,9 @@ def run(args: argparse.Namespace) -> int:
     for host, port in addresses:
         UdpTransport.bind(host, port).close()
     quiet = args.verbosity < 0
-    compile_all(lambda line: None if quiet else print(line, file=sys.stderr, flush=True))
+    compile_all(
+        lambda line: None if quiet else print(line, file=sys.stderr, flush=True), config.filter
+    )
     links: list[UdpTransport] = []
     asked: list[int] = []
     renderer = make_renderer("off" if quiet and args.status == "auto" else args.status)

@@ -25,11 +25,12 @@ class Track(NamedTuple):
     """What the fusion remembers, times in us (-1: never).
 
     When position, velocity and heading were last accepted, since when position and velocity have been rejected
-    without a break, how many resets there were, and when the last of them.
+    without a break and when they last were, how many resets there were, and when the last of them.
     """
 
     accepted_us: tuple[int, ...] = (-1, -1, -1)
     rejected_since_us: tuple[int, ...] = (-1, -1)
+    rejected_us: tuple[int, ...] = (-1, -1)
     resets: int = 0
     reset_times_us: tuple[int, ...] = ()
 
@@ -84,18 +85,21 @@ class Fusion:
             since = track.rejected_since_us
             if m.rank < len(since) and since[m.rank] >= 0:
                 since = _put(since, m.rank, -1)
-            self.track = Track(accepted, since, track.resets, track.reset_times_us)
+            self.track = track._replace(accepted_us=accepted, rejected_since_us=since)
 
     def _reject(self, state: FilterState, m: Measurement, event: Event) -> None:
         if m.aiding not in RESETTABLE:
             return
         place, first = RESETTABLE[m.aiding]
-        since = self.track.rejected_since_us[place]
-        if since < 0:
+        track = self.track
+        since = track.rejected_since_us[place]
+        # after a silence the count starts anew: what was rejected before it says nothing of what comes now
+        if since < 0 or m.t_us - track.rejected_us[place] > self._reset_after_us:
             since = m.t_us
-            self.track = self.track._replace(
-                rejected_since_us=_put(self.track.rejected_since_us, place, since)
-            )
+        self.track = track._replace(
+            rejected_since_us=_put(track.rejected_since_us, place, since),
+            rejected_us=_put(track.rejected_us, place, m.t_us),
+        )
         if m.t_us - since < self._reset_after_us:
             return
         _reset_block(state, first, *m.linearize(state.x, state.u), m.R)

@@ -92,12 +92,18 @@ def kernel(function: F) -> F:
         config.CACHE_DIR = before
 
 
-def is_cached() -> bool:
-    """True where an earlier start has compiled every kernel, so that this one need not."""
-    return CACHE is not None and (CACHE / _COMPLETE).exists()
+def compiles() -> bool:
+    """True where kernels are compiled, and not left as Python (NUMBA_DISABLE_JIT=1)."""
+    config: Any = numba.config
+    return not config.DISABLE_JIT
 
 
-def mark_cached() -> None:
-    """Note that every kernel has been compiled."""
+def is_cached(name: str) -> bool:
+    """True where an earlier start has compiled every kernel that is used with the filter `name`."""
+    return CACHE is not None and (CACHE / f"{_COMPLETE}-{name}").exists()
+
+
+def mark_cached(name: str) -> None:
+    """Note that every kernel that is used with the filter `name` has been compiled."""
     if CACHE is not None:
-        (CACHE / _COMPLETE).touch()
+        (CACHE / f"{_COMPLETE}-{name}").touch()

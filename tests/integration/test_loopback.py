@@ -9,6 +9,7 @@ import math
 import select
 import signal
 import socket
+import statistics
 import subprocess
 import threading
 import time
@@ -158,7 +159,9 @@ def status_lines_tell_of_the_flight(lines: list[str]) -> None:
     vehicle = snapshots[-1]["vehicles"][0]
     assert vehicle["sysid"] == 1
     assert vehicle["health"] == "running"
-    assert vehicle["rates"]["HIGHRES_IMU"] == pytest.approx(250, abs=25)
+    # a machine that is held up for a moment shows it in the rate of that moment
+    rates = [line["vehicles"][0]["rates"].get("HIGHRES_IMU", 0) for line in snapshots[5:]]
+    assert statistics.median(rates) == pytest.approx(250, abs=25)
     assert vehicle["aidings"]["gnss_position"]["fused"] > 30
     assert math.hypot(*vehicle["error"]["pos"]) < 2.0
 

@@ -168,9 +168,9 @@ def test_warmup_reports_each_step(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fake = types.ModuleType("mavins.warmup")
-    vars(fake)["compile_all"] = lambda report: report("compiling so3")
+    vars(fake)["compile_all"] = lambda report, name: report(f"compiling {name}")
     monkeypatch.setitem(sys.modules, "mavins.warmup", fake)
     assert frame.main(["warmup"]) == 0
-    assert capsys.readouterr().err.startswith("compiling so3\nready after ")
+    assert capsys.readouterr().err.startswith("compiling eskf\n")
     assert frame.main(["-q", "warmup"]) == 0
     assert capsys.readouterr().err == ""

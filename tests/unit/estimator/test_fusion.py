@@ -118,6 +118,14 @@ def test_one_fix_that_fits_starts_the_count_again() -> None:
     assert f.track.resets == 0
 
 
+def test_a_silence_starts_the_count_again() -> None:
+    f, s = fusion(), state()
+    assert fuse(f, s, position(1_000_000, 100.0)).reason == "gate"
+    late = range(9_000_000, 16_000_000, 200_000)
+    assert {fuse(f, s, position(t_us, 100.0)).reason for t_us in late} == {"gate"}
+    assert fuse(f, s, position(16_000_000, 100.0)).reason == "reset"
+
+
 def test_velocity_is_reset_in_the_axes_that_are_measured() -> None:
     f, s = fusion(), state()
     s.x[5] = 0.7
