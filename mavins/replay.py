@@ -16,7 +16,9 @@ from mavins.config import Config, to_yaml
 from mavins.errors import LogFormatError
 from mavins.estimator.estimator import Estimator, Outputs
 from mavins.estimator.solution import EULER, LLA, V_L
+from mavins.evaluation.compare import Truth
 from mavins.evaluation.errors import errors_against
+from mavins.evaluation.tape import Tape
 from mavins.logs.tlog import read_tlog
 from mavins.logs.truth import truth_of
 from mavins.mavlink.codec import IMU_KINDS, Frames, OriginRequest, decode, fields_of
@@ -121,6 +123,25 @@ def replay(
     summary["times_real_time"] = covered / summary["cpu_s"]
     write_json(out / "summary.json", summary)
     return summary
+
+
+def tape_of(
+    log: Path,
+    config: Config,
+    sysid: int | None = None,
+    progress: Callable[[float], None] = lambda _: None,
+) -> tuple[Tape, Truth | None]:
+    """What an estimator would be fed from a log, and the truth that the log carries."""
+    frames = read_tlog(log)
+    vehicle = vehicle_of(frames, sysid)
+    tape = Tape(config)
+    intake = Intake(tape, config.sources)
+    _feed(intake, frames, vehicle, our_sysid(frames, vehicle, config.mavlink), progress)
+    truth = truth_of(frames, vehicle)
+    if truth is None or len(truth) < 2:
+        return tape, None
+    lla = np.column_stack([truth.lat, truth.lon, truth.alt])
+    return tape, Truth(truth.t_us, lla, truth.v_l, truth.q_lb)
 
 
 def our_sysid(frames: Frames, sysid: int, settings: SessionSettings) -> int:

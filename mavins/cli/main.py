@@ -23,6 +23,7 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     "serve": ("mavins.cli.serve", "run the navigation service on live MAVLink"),
     "sitl": ("mavins.cli.sitl", "fly the simulator: sensors and truth as MAVLink"),
     "replay": ("mavins.cli.replay", "run the estimator on a log"),
+    "compare": ("mavins.cli.compare", "run several filters on the same samples"),
     "play": ("mavins.cli.play", "send a log's packets into a UDP port at their own pace"),
     "info": ("mavins.cli.info", "show what a log holds"),
     "config": ("mavins.cli.config", "show the configuration as commented YAML, or check a file"),
@@ -32,7 +33,7 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
 }
 """Name -> (module, one line for the overview)."""
 
-EXTRAS: Final = {"mavsdk": "acceptance"}
+EXTRAS: Final = {"mavsdk": "acceptance", "matplotlib": "report"}
 """Modules that come with an optional extra: import name -> the extra's name."""
 
 EXIT_OK: Final = 0

@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Final, Protocol
 
 import numpy as np
 
-from mavins.estimator.estimator import Estimator
+from mavins.estimator.feed import Feed
 from mavins.mavlink.clock import Clock, ImuTimes, is_unix
 from mavins.mavlink.codec import (
     IMU_KINDS,
@@ -89,7 +89,7 @@ class Stamped(Protocol):
 class Intake:
     """Feeds one vehicle's estimator from its packets."""
 
-    def __init__(self, estimator: Estimator, settings: SourceSettings) -> None:
+    def __init__(self, estimator: Feed, settings: SourceSettings) -> None:
         self.estimator = estimator
         self.clock = Clock()
         self.sources: Sources | None = None

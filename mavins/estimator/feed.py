@@ -1,0 +1,29 @@
+"""What a source of samples and measurements feeds: an estimator, or whatever stands in its place."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from mavins.estimator.settings import Settings
+from mavins.types import GnssFix, HeadingFix, ImuTable, Origin
+
+
+class Feed(Protocol):
+    """The way in; `Estimator` says what each of these does."""
+
+    settings: Settings
+
+    def set_origin(self, origin: Origin) -> None:
+        """Put the origin of n here."""
+
+    def restart(self, reason: str) -> None:
+        """Forget all samples and the estimate."""
+
+    def feed_imu(self, table: ImuTable) -> None:
+        """Take IMU samples."""
+
+    def feed_gnss(self, fix: GnssFix) -> None:
+        """Take a GNSS fix."""
+
+    def feed_heading(self, fix: HeadingFix) -> None:
+        """Take a heading."""
