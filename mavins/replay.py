@@ -82,7 +82,7 @@ def replay(
         2**62 if options.end is None else round(options.end * 1e6),
     )
     folder = out / config.filter
-    with ResultWriter(folder, keep=True) as writer:
+    with ResultWriter(folder, config.states.layout(), keep=True) as writer:
         writer.bounds_us = bounds
         outputs = Outputs(grid_us(options.rate), writer.write_rows, writer.write_decision)
         estimator = Estimator(config, config.filter, outputs)

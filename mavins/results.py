@@ -21,6 +21,7 @@ from mavins.estimator.fusion import Event
 from mavins.estimator.solution import WIDTH, describe
 from mavins.filters.base import RowBlock
 from mavins.nav.earth import TangentFrame
+from mavins.nav.layout import BLOCKS, Layout
 from mavins.status import finite
 from mavins.table_text import csv_lines
 from mavins.types import FloatArray, IntArray
@@ -30,6 +31,11 @@ ESTIMATES: Final = (
     "sd_p_n,sd_p_e,sd_p_d,sd_v_n,sd_v_e,sd_v_d,sd_roll,sd_pitch,sd_yaw,"
     "b_g_x,b_g_y,b_g_z,b_a_x,b_a_y,b_a_z"
 )
+EXTRA: Final = {
+    "l_b": "l_b_x,l_b_y,l_b_z,sd_l_b_x,sd_l_b_y,sd_l_b_z",
+    "tau": "tau,sd_tau",
+}
+"""The columns that follow for each further block of states that is estimated."""
 INNOVATIONS: Final = (
     "t_us,stamp_us,aiding,source,accepted,reason,nis,"
     "innovation_0,innovation_1,innovation_2,sigma_0,sigma_1,sigma_2"
@@ -45,8 +51,11 @@ _DEGREES: Final = 180.0 / math.pi
 class ResultWriter:
     """Writes rows and decisions as they come; with `keep`, `table` gives the rows back."""
 
-    def __init__(self, folder: Path, keep: bool = False) -> None:
-        self._estimates = _open(folder / "estimates.csv", ESTIMATES)
+    def __init__(self, folder: Path, layout: Layout, keep: bool = False) -> None:
+        self._layout = layout
+        self._extra = [name for name in EXTRA if name in layout.blocks]
+        header = ",".join([ESTIMATES, *(EXTRA[name] for name in self._extra)])
+        self._estimates = _open(folder / "estimates.csv", header)
         self._innovations = _open(folder / "innovations.csv", INNOVATIONS)
         self._keep = keep
         self._kept: list[tuple[IntArray, FloatArray]] = []
@@ -59,15 +68,32 @@ class ResultWriter:
         t_us = block.t_us[:n].copy()
         rows = np.empty((n, WIDTH))
         describe(block.x[:n], block.P[:n], frame.r0_e, frame.C_ne, rows)
+        extra = self._further(block)
         if self.bounds_us is not None:
             inside = (t_us >= self.bounds_us[0]) & (t_us <= self.bounds_us[1])
-            t_us, rows = t_us[inside], rows[inside]
+            t_us, rows, extra = t_us[inside], rows[inside], extra[inside]
         self.rows += len(t_us)
         if self._keep and len(t_us):
             self._kept.append((t_us, rows.copy()))
         rows[:, :2] *= _DEGREES
+        table = np.hstack([rows, extra])
+        decimals = np.append(_DECIMALS, np.full(extra.shape[1], 6))
         with _or_say_so(self._estimates):
-            self._estimates.write(csv_lines(t_us, rows, _DECIMALS).decode("ascii"))
+            self._estimates.write(csv_lines(t_us, table, decimals).decode("ascii"))
+
+    def _further(self, block: RowBlock) -> FloatArray:
+        """The columns of further states (N, k): values, then sigmas, for each block in turn."""
+        n = block.count
+        parts = [np.empty((n, 0))]
+        if self._extra:
+            sigmas = self._layout.sigmas(block.P[:n])
+            for name in self._extra:
+                columns = BLOCKS[name]
+                parts += [
+                    block.x[:n, columns.start + 1 : columns.stop + 1],
+                    sigmas[:, columns],
+                ]
+        return np.hstack(parts)
 
     def write_decision(self, event: Event) -> None:
         """Write the final decision on a measurement."""

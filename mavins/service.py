@@ -140,7 +140,7 @@ class Service:
             # the first vehicle lies where a replay of the recording puts it
             base = self._out if not self._watches else self._out / f"vehicle_{sysid}"
             folder = base / self._config.filter
-            writer = ResultWriter(folder)
+            writer = ResultWriter(folder, self._config.states.layout())
             write_text(folder / "config.yaml", to_yaml(self._config))
         self._watches[sysid] = Watch(LiveTruth(), writer, folder, Counter(), time.monotonic())
         if writer is None:

@@ -27,6 +27,10 @@ def estimate_status(solution: NavSolution) -> EstimateStatus:
         sd_v=(sd[3], sd[4], sd[5]),
         attitude=(solution.roll, solution.pitch, solution.yaw),
         sd_attitude=_vector(solution.sd_euler),
+        lever_arm=_vector(solution.l_b) if solution.sd_l_b.any() else None,
+        sd_lever_arm=_vector(solution.sd_l_b) if solution.sd_l_b.any() else None,
+        delay=solution.tau if solution.sd_tau else None,
+        sd_delay=solution.sd_tau if solution.sd_tau else None,
     )
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from typing import Any, TypeAlias
 
 Vector: TypeAlias = tuple[float, float, float]
@@ -34,7 +34,10 @@ class AidingStatus:
 
 @dataclass(frozen=True, slots=True)
 class EstimateStatus:
-    """The estimate and its 1-sigma: p in n, v in l, attitude = (roll, pitch, yaw) in l."""
+    """The estimate and its 1-sigma: p in n, v in l, attitude = (roll, pitch, yaw) in l.
+
+    The lever arm and the delay of GNSS are None where they are not estimated.
+    """
 
     lat_deg: float
     lon_deg: float
@@ -45,6 +48,10 @@ class EstimateStatus:
     sd_v: Vector
     attitude: Vector
     sd_attitude: Vector
+    lever_arm: Vector | None = None
+    sd_lever_arm: Vector | None = None
+    delay: float | None = None
+    sd_delay: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,10 +109,16 @@ def _vehicle(data: dict[str, Any]) -> VehicleStatus:
     estimate, error, aidings = data.pop("estimate"), data.pop("error"), data.pop("aidings")
     return VehicleStatus(
         **data,
-        estimate=EstimateStatus(**_numbers(estimate)) if estimate else None,
+        estimate=EstimateStatus(**_numbers(_known(estimate))) if estimate else None,
         error=TruthError(**_numbers(error)) if error else None,
         aidings={name: AidingStatus(**aiding) for name, aiding in aidings.items()},
     )
+
+
+def _known(estimate: Mapping[str, Any]) -> dict[str, Any]:
+    """Without what is not estimated: there a null means absence, elsewhere NaN."""
+    optional = {f.name for f in fields(EstimateStatus) if f.default is None}
+    return {k: v for k, v in estimate.items() if k not in optional or v is not None}
 
 
 def _numbers(data: Mapping[str, Any]) -> dict[str, Any]:

@@ -109,7 +109,8 @@ class NavSolution:
     `q_lb` are the same velocity and attitude in the local level frame, `roll`, `pitch`, `yaw` its
     Euler angles (Z-Y-X). `w_b` rad/s and `f_b` m/s^2 are the bias-corrected IMU readings, `b_g`, `b_a` the biases.
     `P` (15, 15) is the covariance of the canonical errors p_n, v_n, theta_b, b_g, b_a.
-    `sd_euler` (3,) are the sigmas of roll, pitch, yaw.
+    `sd_euler` (3,) are the sigmas of roll, pitch, yaw. `l_b` (3,) m is the lever arm and `tau` s the delay of GNSS,
+    with their sigmas, which are zero where they are not estimated.
     """
 
     t_us: int
@@ -130,6 +131,10 @@ class NavSolution:
     b_a: FloatArray
     P: FloatArray
     sd_euler: FloatArray
+    l_b: FloatArray
+    sd_l_b: FloatArray
+    tau: float
+    sd_tau: float
     health: Health
     reset_counter: int
 

@@ -76,7 +76,8 @@ def _in_a_process(stage: str, filter_name: str, report: Report) -> None:
 def _standing(filter_name: str) -> tuple[Filter, FilterState, TangentFrame]:
     x, u = np.zeros(20), np.array([0.0, 0.0, 0.0, 0.0, 0.0, -9.81])
     x[6] = 1.0
-    algorithm = make(filter_name, ImuNoise(0.01, 0.1, 1e-4, 1e-3))
+    layout = Config().states.layout()
+    algorithm = make(filter_name, ImuNoise(0.01, 0.1, 1e-4, 1e-3), layout)
     state = FilterState(x, 0.01 * np.eye(algorithm.layout.size), u, 0)
     algorithm.adopt(state)
     return algorithm, state, TangentFrame.at(Origin(_LAT, _LON, _ALT))

@@ -1,6 +1,10 @@
 """GNSS position: the antenna's place in n.
 
-    h = p_n + C_nb l_b,   H_p = I,   H_theta = -C_nb [l_b]x,   H_l = C_nb,   H_tau = -(v_n + C_nb [w]x l_b)
+    h = p_n + C_nb l_b + (tau_0 - tau) s,   s = v_n + C_nb [w]x l_b the antenna's velocity
+    H_p = I,   H_v = (tau_0 - tau) I,   H_theta = -C_nb [l_b]x,   H_l = C_nb,   H_tau = -s
+
+The state is that of the instant stamp - tau_0, tau_0 being the delay that was believed when the fix came; what a later
+estimate tau differs from it moves the antenna along its velocity.
 
 Source: Groves (2013), section 14.3. Theory: docs/theory/gnss.md.
 """
@@ -25,7 +29,7 @@ _NO_PARAMETERS = np.empty(0)
 def model(
     x: FloatArray, u: FloatArray, z: FloatArray, parameters: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Residual (3,) in m in n and Jacobian (3, 19); `parameters` is not used."""
+    """Residual (3,) in m in n and Jacobian (3, 19); `parameters` is tau_0, or nothing where it is the state's tau."""
     C = quat_to_dcm(x[6:10])
     lever = x[16:19]
     arm = np.empty(3)
@@ -33,11 +37,13 @@ def model(
     r = np.empty(3)
     H = np.zeros((3, CANONICAL_SIZE))
     C_l = skew(lever)
+    late = parameters[0] - x[19] if len(parameters) else 0.0
     for i in range(3):
         arm[i] = C[i, 0] * lever[0] + C[i, 1] * lever[1] + C[i, 2] * lever[2]
-        r[i] = z[i] - x[i] - arm[i]
-        H[i, i] = 1.0
         swing = C[i, 0] * w_x_l[0] + C[i, 1] * w_x_l[1] + C[i, 2] * w_x_l[2]
+        r[i] = z[i] - x[i] - arm[i] - late * (x[3 + i] + swing)
+        H[i, i] = 1.0
+        H[i, 3 + i] = late
         H[i, 18] = -(x[3 + i] + swing)
         for j in range(3):
             H[i, 6 + j] = -(C[i, 0] * C_l[0, j] + C[i, 1] * C_l[1, j] + C[i, 2] * C_l[2, j])
@@ -65,8 +71,12 @@ def measure(
     sigma_v: float,
     gate: float,
     quality: str = "",
+    tau: FloatArray = _NO_PARAMETERS,
 ) -> Measurement:
-    """The position of a fix valid at `t_us`, with 1-sigma noises in m along the local horizontal and vertical."""
+    """The position of a fix valid at `t_us`, with 1-sigma noises in m along the local horizontal and vertical.
+
+    `tau` (1,) is the delay in s that `t_us` was found with, where the delay is estimated.
+    """
     return Measurement(
         NAME,
         RANK,
@@ -75,7 +85,7 @@ def measure(
         t_us,
         frame.from_lla(fix.lat, fix.lon, fix.alt),
         noise_n(frame.local_level(fix.lat, fix.lon), sigma_h, sigma_v),
-        _NO_PARAMETERS,
+        tau,
         model,
         gate,
         quality,

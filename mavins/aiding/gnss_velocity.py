@@ -1,9 +1,12 @@
 """GNSS velocity of the antenna in the local level frame, with or without its vertical component.
 
-    h = S C_ln (v_n + C_nb [w]x l_b),   w = w_b - b_g,   S the measured rows (north and east, or all three)
+    h = S C_ln (v_n + C_nb [w]x l_b + (tau_0 - tau) a),   w = w_b - b_g,   S the measured rows (2 or 3)
     H_v = S C_ln,   H_theta = -S C_ln C_nb [w x l_b]x,   H_bg = S C_ln C_nb [l_b]x,   H_l = S C_ln C_nb [w]x,
-    H_tau = -S C_ln (v' + d/dt (C_nb [w]x l_b)) with v' ~ C_nb (f_b - b_a) + g_n and d/dt(..) ~ C_nb [w]x [w]x l_b
+    H_tau = -S C_ln a,   a = v' + d/dt (C_nb [w]x l_b) ~ C_nb (f_b - b_a) + g_n + C_nb [w]x [w]x l_b
 
+tau_0 is the delay that the instant of the state was found with (gnss_position.py). Where the delay is estimated, a is
+that of a mean reading around the instant, and H_tau is weighted by the share of it that is signal: noise would pass for
+information on the delay (docs/theory/gnss.md).
 Source: Groves (2013), section 14.3. Theory: docs/theory/gnss.md.
 """
 
@@ -22,6 +25,7 @@ from mavins.types import FloatArray, GnssFix
 
 NAME = "gnss_velocity"
 RANK = 1
+_NO_DELAY = np.empty(0)
 _ISOTROPIC = {m: np.eye(m) for m in (2, 3)}
 
 
@@ -31,14 +35,20 @@ def model(
 ) -> tuple[FloatArray, FloatArray]:
     """Residual (m,) in m/s in l and Jacobian (m, 19), m = 2 or 3.
 
-    `parameters` is C_ln at the fix (9, row-major), then g_n there (3).
+    `parameters` is C_ln at the fix (9, row-major), then g_n there (3); where the delay is estimated, then tau_0, the
+    mean reading (6, as u) and the weight of H_tau.
     """
     m = len(z)
     C = quat_to_dcm(x[6:10])
     lever = x[16:19]
     w = u[0:3] - x[10:13]
     swing_b = cross(w, lever)
-    turning_b = cross(w, swing_b)
+    estimated = len(parameters) > 12
+    late = parameters[12] - x[19] if estimated else 0.0
+    weight = parameters[19] if estimated else 1.0
+    mean = parameters[13:19] if estimated else u
+    mean_w = mean[0:3] - x[10:13]
+    turning_b = cross(mean_w, cross(mean_w, lever))
     v = np.empty(3)
     acceleration = np.empty(3)
     for i in range(3):
@@ -46,7 +56,7 @@ def model(
         acceleration[i] = parameters[9 + i]
         for j in range(3):
             v[i] += C[i, j] * swing_b[j]
-            acceleration[i] += C[i, j] * (u[3 + j] - x[13 + j] + turning_b[j])
+            acceleration[i] += C[i, j] * (mean[3 + j] - x[13 + j] + turning_b[j])
     r = np.empty(m)
     H = np.zeros((m, CANONICAL_SIZE))
     SC = np.zeros(3)
@@ -62,6 +72,8 @@ def model(
                 + parameters[3 * i + 1] * C[1, j]
                 + parameters[3 * i + 2] * C[2, j]
             )
+        r[i] += late * H[i, 18]
+        H[i, 18] *= weight
         # a row s of S C times [a]x is s x a
         d_theta = cross(SC, swing_b)
         d_bias = cross(SC, lever)
@@ -95,8 +107,12 @@ def measure(
     sigma: float,
     gate: float,
     quality: str = "",
+    delay: FloatArray = _NO_DELAY,
 ) -> Measurement | None:
-    """The velocity of a fix valid at `t_us`, with an isotropic 1-sigma noise in m/s; None where the fix has none."""
+    """The velocity of a fix valid at `t_us`, with an isotropic 1-sigma noise in m/s; None where the fix has none.
+
+    Where the delay is estimated, `delay` (8,) is what the model needs for it (its last parameters).
+    """
     if fix.v_l is None or math.isnan(fix.v_l[0]) or math.isnan(fix.v_l[1]):
         return None
     m = 2 if math.isnan(fix.v_l[2]) else 3
@@ -108,7 +124,7 @@ def measure(
         t_us,
         np.array(fix.v_l[:m]),
         _ISOTROPIC[m] * sigma**2,
-        surroundings(fix.lat, fix.lon, fix.alt, frame.r0_e, frame.C_ne),
+        np.concatenate([surroundings(fix.lat, fix.lon, fix.alt, frame.r0_e, frame.C_ne), delay]),
         model,
         gate,
         quality,

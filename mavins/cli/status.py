@@ -135,6 +135,11 @@ def _plain_vehicle(vehicle: VehicleStatus) -> str:
             f"v {_join(estimate.v_l, '.2f')} m/s (±{_join(estimate.sd_v, '.2f', '/')})",
             f"rpy {_join(_degrees(estimate.attitude), '.1f')} deg (±{sd_att})",
         ]
+        if estimate.lever_arm is not None and estimate.sd_lever_arm is not None:
+            sigma = _join(estimate.sd_lever_arm, ".2f", "/")
+            parts.append(f"lever arm {_join(estimate.lever_arm, '.2f')} m (±{sigma})")
+        if estimate.delay is not None:
+            parts.append(f"delay {estimate.delay:.3f} s (±{estimate.sd_delay:.3f})")
     if vehicle.rates:
         parts.append(", ".join(f"{name} {rate:.0f} Hz" for name, rate in vehicle.rates.items()))
     parts.append(f"rejected {rejected_total(vehicle)}")
@@ -250,6 +255,11 @@ def _append_estimate(text: Text, estimate: EstimateStatus, error: TruthError | N
     for name, value, sigma, gone in rows:
         line = f"{name:11} {_fit(value, 7, 2)}  {_fit(sigma, 5, 3)}"
         text.append(f"{line}  {_fit(gone, 6, 3, '+')}\n" if gone else f"{line}\n")
+    if estimate.lever_arm is not None and estimate.sd_lever_arm is not None:
+        line = f"{_fit(estimate.lever_arm, 7, 2)}  {_fit(estimate.sd_lever_arm, 5, 3)}"
+        text.append(f"{'lever arm m':11} {line}\n")
+    if estimate.delay is not None:
+        text.append(f"{'delay s':11} {estimate.delay:7.3f} {'':15}  {estimate.sd_delay:5.3f}\n")
     place = f"{estimate.lat_deg:.7f}  {estimate.lon_deg:.7f}  {estimate.alt:.2f} m"
     text.append(f"{'lat lon alt':11}   {place}\n")
 

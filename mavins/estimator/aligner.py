@@ -15,6 +15,7 @@ from mavins.estimator.quality import StartGate, noise_of, objection
 from mavins.estimator.settings import Settings
 from mavins.estimator.standing import StandingDetector, mean_rows
 from mavins.nav.earth import TangentFrame, gravity_n
+from mavins.nav.layout import Layout
 from mavins.nav.so3 import dcm_to_quat, quat_conj, quat_mul
 from mavins.types import FloatArray, GnssFix, HeadingFix
 
@@ -103,7 +104,7 @@ class Aligner:
         self,
         candidate: Candidate,
         frame: TangentFrame,
-        size: int,
+        layout: Layout,
         heading_sigma: Callable[[HeadingFix], float],
     ) -> tuple[FloatArray, FloatArray]:
         """(x, P) of the first state, valid at the candidate's fix."""
@@ -134,8 +135,11 @@ class Aligner:
             sigma_tilt=tilt,
             sigma_yaw=heading_sigma(candidate.heading),
             lever_b=np.array(s.gnss.lever_arm),
+            sigma_lever=s.states.lever_arm_sigma,
+            delay=fix.delay,
+            sigma_delay=s.states.gnss_delay_sigma,
         )
-        x, P = initial_state(start, size)
+        x, P = initial_state(start, layout)
         x[3:6] = C_ln.T @ x[3:6]
         x[6:10] = quat_mul(quat_conj(dcm_to_quat(C_ln)), x[6:10])
         return x, P

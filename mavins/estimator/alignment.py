@@ -13,7 +13,24 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mavins.nav.layout import B_A, B_G, P_N, THETA_B, V_N, X_BG, X_P, X_Q, X_SIZE, X_V
+from mavins.nav.layout import (
+    B_A,
+    B_G,
+    CANONICAL_SIZE,
+    L_B,
+    P_N,
+    TAU,
+    THETA_B,
+    V_N,
+    X_BG,
+    X_L,
+    X_P,
+    X_Q,
+    X_SIZE,
+    X_TAU,
+    X_V,
+    Layout,
+)
 from mavins.nav.so3 import euler_jacobian, euler_to_quat, quat_to_dcm, quat_to_euler, skew
 from mavins.types import FloatArray
 
@@ -61,18 +78,24 @@ class Start:
     sigma_tilt: float
     sigma_yaw: float
     lever_b: FloatArray
+    sigma_lever: float
+    delay: float
+    sigma_delay: float
 
 
-def initial_state(start: Start, size: int) -> tuple[FloatArray, FloatArray]:
-    """(x (20,), P (size, size)) of the first state; the antenna's position is brought to the IMU."""
+def initial_state(start: Start, layout: Layout) -> tuple[FloatArray, FloatArray]:
+    """(x (20,), P over the errors of the layout) of the first state; the antenna's position is brought to the IMU."""
     x = np.zeros(X_SIZE)
     x[X_Q] = level(start.accel_b, start.push_n, start.yaw_n)
     C = quat_to_dcm(x[X_Q])
     x[X_P] = start.p_n - C @ start.lever_b
     x[X_V] = start.v_n
     x[X_BG] = start.b_g
-    x[16:19] = start.lever_b
-    P = np.zeros((size, size))
+    x[X_L] = start.lever_b
+    x[X_TAU] = start.delay
+    P = np.zeros((CANONICAL_SIZE, CANONICAL_SIZE))
+    P[L_B, L_B] = np.eye(3) * start.sigma_lever**2
+    P[TAU, TAU] = start.sigma_delay**2
     P[P_N, P_N] = start.R_p
     P[V_N, V_N] = start.R_v
     P[B_G, B_G] = np.eye(3) * start.sigma_b_g**2
@@ -93,4 +116,9 @@ def initial_state(start: Start, size: int) -> tuple[FloatArray, FloatArray]:
     )
     P[THETA_B, B_A] = J * start.sigma_b_a**2
     P[B_A, THETA_B] = P[THETA_B, B_A].T
-    return x, P
+    if "l_b" in layout.blocks:
+        # the position of the IMU is as little known as the way to the antenna
+        P[P_N, P_N] += start.sigma_lever**2 * np.eye(3)
+        P[P_N, L_B] = -C * start.sigma_lever**2
+        P[L_B, P_N] = P[P_N, L_B].T
+    return x, P[np.ix_(layout.columns, layout.columns)]

@@ -18,6 +18,7 @@ from mavins.aiding import Measurement, gnss_position, gnss_velocity, heading, ze
 from mavins.estimator.aligner import Aligner, Candidate
 from mavins.estimator.fusion import Event, Fusion, Track
 from mavins.estimator.gate import gate_threshold
+from mavins.estimator.latency import delay_parameters
 from mavins.estimator.quality import noise_of, objection
 from mavins.estimator.settings import Settings
 from mavins.estimator.solution import solution_of
@@ -27,6 +28,7 @@ from mavins.estimator.timeline import Timeline
 from mavins.filters import Filter, FilterState, ImuNoise, RowBlock, make
 from mavins.nav.earth import TangentFrame
 from mavins.nav.kernels import kernel
+from mavins.nav.layout import X_TAU
 from mavins.nav.linalg import is_sane
 from mavins.nav.so3 import dcm_to_quat, euler_to_quat, quat_to_dcm
 from mavins.types import (
@@ -44,6 +46,7 @@ TICK_US = 200_000
 """Standing, time-outs and health are looked at when the IMU stamps pass a multiple of this."""
 RESETS_TO_DIVERGE = 3
 DIVERGE_WITHIN_US = 60_000_000
+_NOTHING = np.empty(0)
 YAW_SILENT_US = 5_000_000
 YAW_SIGMA = math.radians(8.0)
 """Without a heading for this long and with a larger sigma, the status says that yaw is not observable."""
@@ -75,7 +78,7 @@ class Estimator:
             settings.imu.gyro_bias_walk,
             settings.imu.accel_bias_walk,
         )
-        self.filter: Filter = make(filter_name, self._noise)
+        self.filter: Filter = make(filter_name, self._noise, settings.states.layout())
         self._buffer_us = round(settings.estimator.buffer * 1e6)
         self._window_us = round(settings.alignment.window * 1e6)
         self._imu_delay_us = round(settings.imu.delay * 1e6)
@@ -89,6 +92,7 @@ class Estimator:
         self.realignments = 0
         self.loss = ""
         self._resets_before = 0
+        self._first_delay = 0.0
         self._aligner = Aligner(settings)
         self._line = self._new_line()
         self.health = Health.WAITING
@@ -116,7 +120,8 @@ class Estimator:
         state = self._line.state
         if state is None or self.frame is None:
             return None
-        return solution_of(state, self.frame, self.health, self.reset_counter)
+        layout = self.filter.layout
+        return solution_of(state, layout, self.frame, self.health, self.reset_counter)
 
     # ---- what comes in -----------------------------------------------------------------------------------------
 
@@ -155,7 +160,7 @@ class Estimator:
 
     def feed_gnss(self, fix: GnssFix) -> None:
         """Take a GNSS fix."""
-        t_us = fix.t_us - round(fix.delay * 1e6)
+        t_us, delay = self._valid_time(fix)
         quality = objection(fix, self.settings.gnss)
         if not quality and fix.v_l is not None and not math.isnan(fix.v_l[0]):
             self._aligner.standing.see_speed(math.hypot(fix.v_l[0], fix.v_l[1]))
@@ -165,11 +170,27 @@ class Estimator:
         settings = self.settings.gnss
         noise = noise_of(fix, settings)
         self._take(
-            gnss_position.measure(fix, t_us, self.frame, noise.h, noise.v, settings.gate, quality)
+            gnss_position.measure(
+                fix, t_us, self.frame, noise.h, noise.v, settings.gate, quality, delay[:1]
+            )
         )
-        velocity = gnss_velocity.measure(fix, t_us, self.frame, noise.speed, settings.gate, quality)
+        velocity = gnss_velocity.measure(
+            fix, t_us, self.frame, noise.speed, settings.gate, quality, delay
+        )
         if velocity is not None:
             self._take(velocity)
+
+    def _valid_time(self, fix: GnssFix) -> tuple[int, FloatArray]:
+        """When a fix was valid; where the delay is estimated, also what its measurements need (latency.py).
+
+        What one fix's delay is said to differ from another's stays; the estimate is of what they have in common.
+        """
+        state = self._line.state
+        if state is None or self.frame is None or "tau" not in self.filter.layout.blocks:
+            return fix.t_us - round(fix.delay * 1e6), _NOTHING
+        delay = float(state.x[X_TAU]) + fix.delay - self._first_delay
+        t_us = fix.t_us - round(delay * 1e6)
+        return t_us, delay_parameters(state, self.frame, self._line.buffer, t_us)
 
     def feed_heading(self, fix: HeadingFix) -> None:
         """Take a heading."""
@@ -321,9 +342,8 @@ class Estimator:
         fix = candidate.fix
         if self.frame is None:
             self.frame = TangentFrame.at(self._wanted_origin or Origin(fix.lat, fix.lon, fix.alt))
-        x, P = self._aligner.start(
-            candidate, self.frame, self.filter.layout.size, self.heading_sigma
-        )
+        x, P = self._aligner.start(candidate, self.frame, self.filter.layout, self.heading_sigma)
+        self._first_delay = fix.delay
         reading = self._line.buffer.reading_at(candidate.t_us)
         self.health = Health.RUNNING
         self.reason = ""

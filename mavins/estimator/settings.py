@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 from annotated_types import Ge, Gt, Le
 
 from mavins.documented import Doc
+from mavins.nav.layout import CORE, Layout
 
 Vector3 = tuple[float, float, float]
 
@@ -192,6 +193,29 @@ class AlignmentSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class StatesSettings:
+    """What is estimated beside position, velocity, attitude and biases."""
+
+    lever_arm: Annotated[
+        Literal["estimate", "fixed"],
+        Doc("The GNSS antenna's place, from gnss.lever_arm on; it shows when the vehicle turns."),
+    ] = "fixed"
+    lever_arm_sigma: Annotated[
+        float, Gt(0), Le(100), Doc("The lever arm at start, 1-sigma on each axis.", "m")
+    ] = 0.5
+    gnss_delay: Annotated[
+        Literal["estimate", "fixed"],
+        Doc("The delay of GNSS, from gnss.delay on; it shows when the vehicle accelerates."),
+    ] = "estimate"
+    gnss_delay_sigma: Annotated[float, Gt(0), Le(1), Doc("The delay at start, 1-sigma.", "s")] = 0.1
+
+    def layout(self) -> Layout:
+        """The error states that this makes."""
+        extra = {"l_b": self.lever_arm, "tau": self.gnss_delay}
+        return Layout.of((*CORE, *(block for block, how in extra.items() if how == "estimate")))
+
+
+@dataclass(frozen=True, slots=True)
 class EstimatorSettings:
     """Time ordering and health."""
 
@@ -223,5 +247,6 @@ class Settings:
     gnss: GnssSettings = GnssSettings()
     heading: HeadingSettings = HeadingSettings()
     zero_velocity: ZeroVelocitySettings = ZeroVelocitySettings()
+    states: StatesSettings = StatesSettings()
     alignment: AlignmentSettings = AlignmentSettings()
     estimator: EstimatorSettings = EstimatorSettings()

@@ -13,6 +13,7 @@ import numpy as np
 from mavins.filters.base import FilterState
 from mavins.nav.earth import TangentFrame, dcm_ln, ecef_of, ecef_to_lla
 from mavins.nav.kernels import kernel
+from mavins.nav.layout import L_B, TAU, X_L, X_TAU, Layout
 from mavins.nav.so3 import dcm_to_quat, euler_jacobian, quat_mul, quat_to_euler
 from mavins.types import FloatArray, Health, NavSolution
 
@@ -65,9 +66,10 @@ def describe(
 
 
 def solution_of(
-    state: FilterState, frame: TangentFrame, health: Health, reset_counter: int
+    state: FilterState, layout: Layout, frame: TangentFrame, health: Health, reset_counter: int
 ) -> NavSolution:
     """The navigation solution of one state."""
+    sigmas = layout.sigmas(state.P)
     row = np.empty((1, WIDTH))
     P = state.P[:15, :15].copy()
     describe(state.x[np.newaxis], P[np.newaxis], frame.r0_e, frame.C_ne, row)
@@ -92,6 +94,10 @@ def solution_of(
         b_a=r[B_A],
         P=P,
         sd_euler=r[SD_EULER],
+        l_b=x[X_L].copy(),
+        sd_l_b=sigmas[L_B],
+        tau=float(x[X_TAU]),
+        sd_tau=float(sigmas[TAU][0]),
         health=health,
         reset_counter=reset_counter,
     )

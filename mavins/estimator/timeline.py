@@ -62,7 +62,7 @@ class Timeline:
         self._buffer_us = buffer_us
         self._grid_us = grid_us
         self._write = rows
-        self._rows = RowBlock.empty(ROWS_HELD)
+        self._rows = RowBlock.empty(ROWS_HELD, algorithm.layout.size)
         self._events: list[Event] = []
         self._snapshots: list[_Snapshot] = []
         self._sequence = 0

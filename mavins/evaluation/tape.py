@@ -16,36 +16,36 @@ class Tape:
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
-        self._feeds: list[tuple[str, Any]] = []
+        self.feeds: list[tuple[str, Any]] = []
 
     def set_origin(self, origin: Origin) -> None:
         """Keep an origin."""
-        self._feeds.append(("set_origin", origin))
+        self.feeds.append(("set_origin", origin))
 
     def restart(self, reason: str) -> None:
         """Keep a new beginning."""
-        self._feeds.append(("restart", reason))
+        self.feeds.append(("restart", reason))
 
     def feed_imu(self, table: ImuTable) -> None:
         """Keep IMU samples."""
-        self._feeds.append(("feed_imu", table))
+        self.feeds.append(("feed_imu", table))
 
     def feed_gnss(self, fix: GnssFix) -> None:
         """Keep a GNSS fix."""
-        self._feeds.append(("feed_gnss", fix))
+        self.feeds.append(("feed_gnss", fix))
 
     def feed_heading(self, fix: HeadingFix) -> None:
         """Keep a heading."""
-        self._feeds.append(("feed_heading", fix))
+        self.feeds.append(("feed_heading", fix))
 
     def fixes(self) -> tuple[IntArray, FloatArray]:
         """Stamps (N,) in us and places (N, 3: lat, lon in rad, alt in m) of the GNSS fixes."""
-        found = [what for name, what in self._feeds if name == "feed_gnss"]
+        found = [what for name, what in self.feeds if name == "feed_gnss"]
         places = np.array([(fix.lat, fix.lon, fix.alt) for fix in found]).reshape(-1, 3)
         return np.array([fix.t_us for fix in found], dtype=np.int64), places
 
     def play(self, estimator: Estimator) -> None:
         """Feed all of it, and finish."""
-        for name, what in self._feeds:
+        for name, what in self.feeds:
             getattr(estimator, name)(what)
         estimator.finish()

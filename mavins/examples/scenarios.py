@@ -10,6 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from mavins.config import Config
+from mavins.estimator.settings import StatesSettings
 from mavins.evaluation.compare import Truth
 from mavins.evaluation.tape import Tape
 from mavins.types import GnssFix, HeadingFix, ImuTable, Origin
@@ -44,7 +45,8 @@ def matched(config: Config, scenario: Scenario) -> Config:
         velocity_floor=1e-3,
     )
     heading = dataclasses.replace(config.heading, sigma_deg=scenario.heading.sigma_deg)
-    return dataclasses.replace(config, imu=imu, gnss=gnss, heading=heading)
+    states = StatesSettings(lever_arm="fixed", gnss_delay="fixed")
+    return dataclasses.replace(config, imu=imu, gnss=gnss, heading=heading, states=states)
 
 
 def flight(config: Config, scenario: Scenario, seed: int, duration: float) -> tuple[Tape, Truth]:

@@ -36,7 +36,7 @@ class FilterState:
 class RowBlock:
     """Estimates at consecutive instants, of which the first `count` are filled.
 
-    t_us (N,), x (N, 20), u (N, 6), P (N, 15, 15).
+    t_us (N,), x (N, 20), u (N, 6), P (N, n, n) over the canonical errors of a layout.
     """
 
     t_us: IntArray
@@ -46,13 +46,13 @@ class RowBlock:
     count: int = 0
 
     @classmethod
-    def empty(cls, capacity: int) -> RowBlock:
-        """A block with room for `capacity` rows."""
+    def empty(cls, capacity: int, size: int = 15) -> RowBlock:
+        """A block with room for `capacity` rows of a filter with `size` error states."""
         return cls(
             np.empty(capacity, dtype=np.int64),
             np.empty((capacity, 20)),
             np.empty((capacity, 6)),
-            np.empty((capacity, 15, 15)),
+            np.empty((capacity, size, size)),
         )
 
 

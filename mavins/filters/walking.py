@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mavins.nav.ins import CORE_SIZE, Vector
+from mavins.nav.ins import Vector
 from mavins.nav.kernels import kernel
 from mavins.types import FloatArray, IntArray
 
@@ -87,6 +87,6 @@ def put_row(
         out_x[place, i] = x[i]
     for i in range(len(u)):
         out_u[place, i] = u[i]
-    for i in range(CORE_SIZE):
-        for j in range(CORE_SIZE):
+    for i in range(out_P.shape[1]):
+        for j in range(out_P.shape[2]):
             out_P[place, i, j] = P[i, j]

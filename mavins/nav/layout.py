@@ -75,6 +75,12 @@ class Layout:
         """The number of error states."""
         return len(self.columns)
 
+    def sigmas(self, P: FloatArray) -> FloatArray:
+        """sqrt(diag P) (..., 19) over all canonical errors, zero where the layout does not have one; P (..., n, n)."""
+        out = np.zeros((*P.shape[:-2], CANONICAL_SIZE))
+        out[..., self.columns] = np.sqrt(np.maximum(np.diagonal(P, axis1=-2, axis2=-1), 0.0))
+        return out
+
 
 @kernel
 def boxplus(x: FloatArray, d: FloatArray, columns: IntArray) -> None:

@@ -6,7 +6,13 @@ import math
 
 import numpy as np
 
-from mavins.estimator.settings import GnssSettings, HeadingSettings, ImuSettings, Settings
+from mavins.estimator.settings import (
+    GnssSettings,
+    HeadingSettings,
+    ImuSettings,
+    Settings,
+    StatesSettings,
+)
 from mavins.evaluation.montecarlo import estimate
 from mavins.nav.so3 import quat_to_euler, wrap_pi
 from mavins.types import FloatArray, Origin
@@ -35,6 +41,7 @@ def settings_of(scenario: Scenario) -> Settings:
         ),
         gnss=GnssSettings(delay=0.0, position_floor=0.01, velocity_floor=0.01),
         heading=HeadingSettings(sigma_deg=scenario.heading.sigma_deg),
+        states=StatesSettings(gnss_delay="fixed"),
     )
 
 

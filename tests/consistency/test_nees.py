@@ -10,7 +10,13 @@ from concurrent.futures import ProcessPoolExecutor
 import numpy as np
 import pytest
 
-from mavins.estimator.settings import GnssSettings, HeadingSettings, ImuSettings, Settings
+from mavins.estimator.settings import (
+    GnssSettings,
+    HeadingSettings,
+    ImuSettings,
+    Settings,
+    StatesSettings,
+)
 from mavins.evaluation.consistency import band, errors, nees, share_inside
 from mavins.evaluation.montecarlo import Estimates, estimate
 from mavins.types import FloatArray, Origin
@@ -49,6 +55,7 @@ def matched_settings(scenario: Scenario) -> Settings:
         ),
         gnss=GnssSettings(delay=0.0, position_floor=1e-3, velocity_floor=1e-3),
         heading=HeadingSettings(sigma_deg=scenario.heading.sigma_deg),
+        states=StatesSettings(gnss_delay="fixed"),
     )
 
 

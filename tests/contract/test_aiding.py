@@ -41,6 +41,7 @@ PARAMETERS: dict[str, Callable[[FloatArray], FloatArray]] = {
     "gnss_velocity": lambda x: np.concatenate(
         [level_turn().ravel(), gravity_n(x[:3], FRAME.r0_e, FRAME.C_ne)]
     ),
+    "gnss_position": lambda x: x[19:20],
     "heading": lambda x: np.concatenate([FRAME.r0_e, FRAME.C_ne.ravel()]),
 }
 """What a model needs beside the state; a model that is not here needs nothing."""
@@ -117,6 +118,15 @@ def test_many_states_at_once_give_the_same_residuals(name: str, m: int) -> None:
 def test_rank_is_the_place_in_the_registry(name: str) -> None:
     module = import_module(REGISTRY[name].partition(":")[0])
     assert (name, list(REGISTRY).index(name)) == (module.NAME, module.RANK)
+
+
+def test_a_delay_that_was_believed_wrong_moves_the_antenna_along_its_velocity() -> None:
+    x, u, z, parameters = random_case("gnss_position", 3, 2)
+    model = model_of("gnss_position")
+    r, H = model(x, u, z, parameters)
+    late, H_late = model(x, u, z, parameters + 0.05)
+    assert_allclose(late, r + 0.05 * H[:, TAU.start])
+    assert_allclose(H_late[:, 3:6], 0.05 * np.eye(3))
 
 
 def state_at(x: FloatArray, u: FloatArray, size: int) -> FilterState:

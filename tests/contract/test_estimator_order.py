@@ -14,7 +14,7 @@ from numpy.testing import assert_array_equal
 
 from mavins.estimator.estimator import Estimator, Outputs
 from mavins.estimator.fusion import Event
-from mavins.estimator.settings import GnssSettings, HeadingSettings, Settings
+from mavins.estimator.settings import GnssSettings, HeadingSettings, Settings, StatesSettings
 from mavins.filters import REGISTRY, RowBlock
 from mavins.nav.earth import TangentFrame
 from mavins.types import FloatArray, GnssFix, HeadingFix, ImuTable
@@ -33,6 +33,8 @@ HEADING_DELAY = 0.0224
 SETTINGS = Settings(
     gnss=dataclasses.replace(GnssSettings(), delay=0.0, lever_arm=(0.1, 0.0, -0.2)),
     heading=HeadingSettings(sigma_deg=2.0),
+    # a fix is placed by the delay that is believed when it comes: one that is estimated sees the order of arrival
+    states=StatesSettings(gnss_delay="fixed"),
 )
 pytestmark = pytest.mark.jit
 

@@ -26,7 +26,7 @@ ARDUPILOT = "recordings/ap_copter_square_circle.tlog.xz"
 HEADER = (
     "t_us,lat_deg,lon_deg,alt_m,p_n,p_e,p_d,v_n,v_e,v_d,roll,pitch,yaw,q_w,q_x,q_y,q_z,"
     "sd_p_n,sd_p_e,sd_p_d,sd_v_n,sd_v_e,sd_v_d,sd_roll,sd_pitch,sd_yaw,"
-    "b_g_x,b_g_y,b_g_z,b_a_x,b_a_y,b_a_z"
+    "b_g_x,b_g_y,b_g_z,b_a_x,b_a_y,b_a_z,tau,sd_tau"
 )
 
 
@@ -139,7 +139,7 @@ def test_rejections_are_counted_with_their_reasons(
     shared: Callable[[str], Path], tmp_path: Path
 ) -> None:
     # nothing is as accurate as this, so every fix in flight meets the quality gate or the innovation gate
-    config = settings_file(tmp_path, "gnss:\n  max_sigma_speed: 0.0211\n  gate: 0.05\n")
+    config = settings_file(tmp_path, "gnss:\n  max_sigma_speed: 0.0211\n  gate: 0.02\n")
     summary = replayed(None, shared(ARDUPILOT), tmp_path / "out", "--config", config).summary
     rejected = summary["aiding"]["gnss_position"]["rejected"]
     assert rejected

@@ -300,5 +300,5 @@ def test_the_tutorial_runs(tmp_path: Path) -> None:
     assert kinds.count("start") == kinds.count("stop") == 1
     with (tmp_path / "result" / "eskf" / "estimates.csv").open(encoding="ascii") as file:
         rows = list(csv.reader(file))
-    assert ",".join(rows[0]) == results.ESTIMATES
+    assert ",".join(rows[0]) == f"{results.ESTIMATES},{results.EXTRA['tau']}"
     assert len(rows) > 100

@@ -16,6 +16,7 @@ from mavins.errors import OutputError
 from mavins.estimator.fusion import Event
 from mavins.filters.base import RowBlock
 from mavins.nav.earth import TangentFrame
+from mavins.nav.layout import CORE, Layout
 from mavins.results import (
     ESTIMATES,
     INNOVATIONS,
@@ -72,7 +73,7 @@ def read(path: Path) -> list[dict[str, str]]:
 
 
 def test_estimates(tmp_path: Path) -> None:
-    with ResultWriter(tmp_path / "new" / "eskf") as writer:
+    with ResultWriter(tmp_path / "new" / "eskf", Layout.of()) as writer:
         writer.write_rows(block([1_000_000, 1_020_000]), FRAME)
         assert writer.rows == 2
         assert len(writer.table()[0]) == 0
@@ -93,7 +94,7 @@ def test_estimates(tmp_path: Path) -> None:
 
 
 def test_bounds_and_what_is_kept(tmp_path: Path) -> None:
-    with ResultWriter(tmp_path, keep=True) as writer:
+    with ResultWriter(tmp_path, Layout.of(), keep=True) as writer:
         writer.bounds_us = (1_000_000, 2_000_000)
         writer.write_rows(block([999_999, 1_000_000]), FRAME)
         writer.write_rows(block([2_000_000, 2_000_001]), FRAME)
@@ -106,7 +107,7 @@ def test_bounds_and_what_is_kept(tmp_path: Path) -> None:
 
 
 def test_innovations(tmp_path: Path) -> None:
-    with ResultWriter(tmp_path) as writer:
+    with ResultWriter(tmp_path, Layout.of()) as writer:
         writer.write_decision(decision(5_000_000))
         writer.write_decision(decision(6_000_000, "gate", 3, 99.5))
         late = decision(7_000_000, "too old", 0, math.nan)
@@ -131,7 +132,7 @@ def test_a_full_disk_is_said_in_one_line(tmp_path: Path) -> None:
         def write(self, text: str) -> int:
             raise OSError(28, "No space left on device")
 
-    writer = ResultWriter(tmp_path)
+    writer = ResultWriter(tmp_path, Layout.of())
     writer._estimates.close()
     writer._estimates = Full()  # type: ignore[assignment]
     with pytest.raises(OutputError, match=r"estimates.csv: No space left"):
@@ -162,10 +163,28 @@ def test_places_that_cannot_be_written(tmp_path: Path) -> None:
     below = tmp_path / "file" / "below"
     for write in (
         lambda: check_folder(below),
-        lambda: ResultWriter(below),
+        lambda: ResultWriter(below, Layout.of()),
         lambda: write_text(below / "x.json", ""),
     ):
         with pytest.raises(OutputError, match="another"):
             write()
     check_folder(tmp_path / "fresh" / "folder")
     assert list((tmp_path / "fresh" / "folder").iterdir()) == []
+
+
+def test_further_states_have_columns_of_their_own(tmp_path: Path) -> None:
+    layout = Layout.of((*CORE, "l_b", "tau"))
+    block = RowBlock.empty(1, layout.size)
+    block.count = 1
+    block.t_us[0], block.u[:], block.x[:] = 20_000, 0.0, 0.0
+    block.x[0, 6] = 1.0
+    block.x[0, 16:20] = [0.1, -0.2, 0.3, 0.18]
+    block.P[0] = np.diag(np.r_[np.ones(15), 0.01, 0.04, 0.09, 0.0025])
+    with ResultWriter(tmp_path, layout) as writer:
+        writer.write_rows(block, TangentFrame.at(Origin(0.8, 0.1, 0.0)))
+    header, row = csv.reader((tmp_path / "estimates.csv").read_text().splitlines())
+    values = dict(zip(header, map(float, row), strict=True))
+    assert header[: len(ESTIMATES.split(","))] == ESTIMATES.split(",")
+    assert [values[f"l_b_{axis}"] for axis in "xyz"] == [0.1, -0.2, 0.3]
+    assert [values[f"sd_l_b_{axis}"] for axis in "xyz"] == [0.1, 0.2, 0.3]
+    assert (values["tau"], values["sd_tau"]) == (0.18, 0.05)

@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from mavins.estimator.alignment import Start, initial_state, level
-from mavins.nav.layout import Layout, boxminus
+from mavins.nav.layout import CORE, Layout, boxminus
 from mavins.nav.so3 import euler_to_quat, quat_to_dcm, quat_to_euler
 from mavins.types import FloatArray
 
@@ -66,6 +66,9 @@ def start(euler: FloatArray, accel_b: FloatArray, yaw: float) -> Start:
         sigma_tilt=2e-3,
         sigma_yaw=0.03,
         lever_b=np.array([0.2, 0.0, -0.1]),
+        sigma_lever=0.3,
+        delay=0.12,
+        sigma_delay=0.05,
     )
 
 
@@ -85,11 +88,11 @@ def test_initial_covariance_is_that_of_the_errors(euler: FloatArray) -> None:
         b_a = rng.normal(size=3) * 0.05
         noise = rng.normal(size=3) * 2e-3 * 9.81
         s = start(euler, f_b + b_a + noise, euler[2] + 0.03 * rng.normal())
-        x, P = initial_state(s, 15)
+        x, P = initial_state(s, Layout.of())
         truth[13:16] = b_a
         errors[k] = boxminus(truth, x, columns)
     found = np.cov(errors[:, [6, 7, 8, 12, 13, 14]].T)
-    _, P = initial_state(start(euler, f_b, euler[2]), 15)
+    _, P = initial_state(start(euler, f_b, euler[2]), Layout.of())
     expected = P[np.ix_([6, 7, 8, 12, 13, 14], [6, 7, 8, 12, 13, 14])]
     scale = np.sqrt(np.diag(expected))
     # 4 sigmas of a sampled correlation, and what tilts of a few mrad leave to the second order
@@ -99,7 +102,7 @@ def test_initial_covariance_is_that_of_the_errors(euler: FloatArray) -> None:
 def test_the_first_state_is_what_was_measured() -> None:
     euler = np.array([0.1, 0.2, 0.3])
     s = start(euler, quat_to_dcm(euler_to_quat(*euler)).T @ GRAVITY, 0.3)
-    x, P = initial_state(s, 15)
+    x, P = initial_state(s, Layout.of())
     C = quat_to_dcm(x[6:10])
     assert_allclose(x[:3] + C @ s.lever_b, s.p_n)
     assert_allclose(x[3:6], s.v_n)
@@ -108,3 +111,16 @@ def test_the_first_state_is_what_was_measured() -> None:
     assert_allclose(np.diag(P)[:3], [0.25, 0.25, 0.64])
     assert_allclose(P, P.T)
     assert np.linalg.eigvalsh(P)[0] > 0.0
+
+
+def test_further_states_start_where_they_are_told() -> None:
+    s = start(np.zeros(3), -GRAVITY, 0.4)
+    core, P = initial_state(s, Layout.of())
+    x, wide = initial_state(s, Layout.of((*CORE, "l_b", "tau")))
+    assert_allclose(x, core)
+    assert_allclose(x[16:], [0.2, 0.0, -0.1, 0.12])
+    assert_allclose(np.sqrt(np.diag(wide)[15:]), [0.3, 0.3, 0.3, 0.05])
+    # the antenna is as well known as before, wherever the IMU is beside it
+    H = np.hstack([np.eye(3), quat_to_dcm(x[6:10])])
+    at = np.r_[0:3, 15:18]
+    assert_allclose(H @ wide[np.ix_(at, at)] @ H.T, P[:3, :3], atol=1e-12)

@@ -40,6 +40,10 @@ def make_solution(t_us: int, health: Health = Health.RUNNING, resets: int = 0) -
         b_a=np.zeros(3),
         P=np.eye(15) * 0.04,
         sd_euler=np.full(3, 0.2),
+        l_b=np.zeros(3),
+        sd_l_b=np.zeros(3),
+        tau=0.0,
+        sd_tau=0.0,
         health=health,
         reset_counter=resets,
     )

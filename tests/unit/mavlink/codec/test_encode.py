@@ -56,6 +56,10 @@ def solution(**changes: Any) -> NavSolution:
         "b_a": np.zeros(3),
         "P": root @ root.T,
         "sd_euler": np.array([0.01, 0.01, 0.02]),
+        "l_b": np.zeros(3),
+        "sd_l_b": np.zeros(3),
+        "tau": 0.0,
+        "sd_tau": 0.0,
         "health": Health.RUNNING,
         "reset_counter": 258,
     }
