@@ -27,14 +27,16 @@ from mavins.filters.walking import (
     reading_at,
     reading_within,
 )
-from mavins.nav.deviations import Interval, gravity_change, interval, moved, turned
-from mavins.nav.earth import TangentFrame
+from mavins.nav.deviations import Interval, interval, moved, turned
+from mavins.nav.earth import TangentFrame, replace_by_gravity
 from mavins.nav.ins import CORE_SIZE, MOVING, Vector, increments_from_rates, mechanize
 from mavins.nav.kernels import kernel
 from mavins.nav.layout import TAU, Layout, boxplus
 from mavins.nav.linalg import cholesky
 from mavins.nav.square_root import (
-    padded,
+    ROWS,
+    WIDTH,
+    deviations,
     root_of,
     square_of,
     take_triangle,
@@ -54,20 +56,27 @@ LINEAR = 6
 BIASES = CORE_SIZE - MOVING
 NOISES = 6
 """White noises of gyro and accelerometer, which are errors of the readings over an interval as the biases are."""
+NONE = (0.0, 0.0, 0.0)
 
 Deviation: TypeAlias = tuple[Vector, Vector, Vector]
-Scratch: TypeAlias = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+Scratch: TypeAlias = tuple[
+    FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray
+]
 
 
 @kernel
 def scratch(n: int) -> Scratch:
-    """(C, M, E, mean): C_nb, the deviations after and before an interval, and the mean's shift, for n states."""
+    """(C, M, t, E, mean, g0, g1, g2): C_nb, deviations after and before an interval, the mean's shift, gravities."""
     rows = n + NOISES + BIASES
     return (
         np.empty((3, 3)),
-        np.zeros((2 * rows, padded(n))),
+        deviations(2 * rows),
+        np.zeros(WIDTH),
         np.zeros((rows, CORE_SIZE)),
         np.zeros(n),
+        np.zeros(2 * n),
+        np.zeros(2 * n),
+        np.zeros(2 * n),
     )
 
 
@@ -75,11 +84,33 @@ def scratch(n: int) -> Scratch:
 
 
 @kernel
-def deviation(
-    i: Interval, C: FloatArray, e: FloatArray, s: float, r0_e: FloatArray, C_ne: FloatArray
-) -> Deviation:
-    """(p, v, theta) after the interval, of the error s e, e (15,), before it."""
-    p, v = (s * e[0], s * e[1], s * e[2]), (s * e[3], s * e[4], s * e[5])
+def gravities(
+    S: FloatArray,
+    i: Interval,
+    r0_e: FloatArray,
+    C_ne: FloatArray,
+    a: FloatArray,
+    b: FloatArray,
+    c: FloatArray,
+) -> None:
+    """(a, b, c), each (2 n,), <- how gravity at mid-interval differs in the sigma points: those of +h s_i, of -h s_i."""
+    n, h = S.shape[0], 0.5 * i.dt
+    for j in range(n):
+        d0 = H * (S[j, 0] + h * S[j, 3])
+        d1 = H * (S[j, 1] + h * S[j, 4])
+        d2 = H * (S[j, 2] + h * S[j, 5])
+        a[j], b[j], c[j] = i.middle[0] + d0, i.middle[1] + d1, i.middle[2] + d2
+        a[n + j], b[n + j], c[n + j] = i.middle[0] - d0, i.middle[1] - d1, i.middle[2] - d2
+    replace_by_gravity(a, b, c, r0_e, C_ne)
+    for j in range(2 * n):
+        a[j] -= i.g[0]
+        b[j] -= i.g[1]
+        c[j] -= i.g[2]
+
+
+@kernel
+def deviation(i: Interval, C: FloatArray, e: FloatArray, s: float, dg: Vector) -> Deviation:
+    """(p, v, theta) after the interval, of the error s e, e (15,), before it, to which gravity differs by `dg`."""
     theta, du = turned(
         i,
         C,
@@ -87,30 +118,32 @@ def deviation(
         (-s * e[9], -s * e[10], -s * e[11]),
         (-s * e[12], -s * e[13], -s * e[14]),
     )
-    p, v = moved(i, p, v, du, gravity_change(i, p, v, r0_e, C_ne))
+    p, v = moved(i, (s * e[0], s * e[1], s * e[2]), (s * e[3], s * e[4], s * e[5]), du, dg)
     return p, v, theta
 
 
 @kernel
-def deviation_of_place(
-    i: Interval, e: FloatArray, s: float, r0_e: FloatArray, C_ne: FloatArray
-) -> Deviation:
+def deviation_of_place(i: Interval, e: FloatArray, s: float, dg: Vector) -> Deviation:
     """`deviation` of an error of position and velocity alone."""
-    p, v = (s * e[0], s * e[1], s * e[2]), (s * e[3], s * e[4], s * e[5])
-    zero = (0.0, 0.0, 0.0)
-    p, v = moved(i, p, v, zero, gravity_change(i, p, v, r0_e, C_ne))
-    return p, v, zero
+    p, v = moved(i, (s * e[0], s * e[1], s * e[2]), (s * e[3], s * e[4], s * e[5]), NONE, dg)
+    return p, v, NONE
 
 
 @kernel
-def deviation_of_reading(i: Interval, C: FloatArray, e: FloatArray, s: float) -> Deviation:
-    """`deviation` of an error of the readings alone."""
-    zero = (0.0, 0.0, 0.0)
-    theta, du = turned(
-        i, C, zero, (-s * e[9], -s * e[10], -s * e[11]), (-s * e[12], -s * e[13], -s * e[14])
-    )
-    p, v = moved(i, zero, zero, du, zero)
-    return p, v, theta
+def put_block(
+    M: FloatArray, first: int, second: int, mean: FloatArray, c: int, a: Vector, b: Vector
+) -> None:
+    """`put_pair` for the three columns from c on."""
+    M[first, c] = FIRST * (a[0] - b[0])
+    M[first, c + 1] = FIRST * (a[1] - b[1])
+    M[first, c + 2] = FIRST * (a[2] - b[2])
+    s0, s1, s2 = a[0] + b[0], a[1] + b[1], a[2] + b[2]
+    M[second, c] = SECOND * s0
+    M[second, c + 1] = SECOND * s1
+    M[second, c + 2] = SECOND * s2
+    mean[c] += MEAN * s0
+    mean[c + 1] += MEAN * s1
+    mean[c + 2] += MEAN * s2
 
 
 @kernel
@@ -118,13 +151,9 @@ def put_pair(
     M: FloatArray, first: int, second: int, mean: FloatArray, plus: Deviation, minus: Deviation
 ) -> None:
     """Rows `first` and `second` of M <- the deviations of a pair of sigma points; `mean` takes its share."""
-    for block in range(3):
-        a, b = plus[block], minus[block]
-        for k in range(3):
-            c = 3 * block + k
-            M[first, c] = FIRST * (a[k] - b[k])
-            M[second, c] = SECOND * (a[k] + b[k])
-            mean[c] += MEAN * (a[k] + b[k])
+    put_block(M, first, second, mean, 0, plus[0], minus[0])
+    put_block(M, first, second, mean, 3, plus[1], minus[1])
+    put_block(M, first, second, mean, 6, plus[2], minus[2])
 
 
 @kernel
@@ -156,26 +185,28 @@ def propagate_fully(
 
     All states and all noises alike: a pair of sigma points each, both differences, one triangularization.
     """
-    C, M, E, mean = work
+    C, M, t, E, mean, a, b, c = work
     n = S.shape[0]
-    noises, walks, rows = n, n + NOISES, n + NOISES + BIASES
-    for j in range(n):
-        for c in range(CORE_SIZE):
-            E[j, c] = S[j, c]
-    put_noises(E, noises, noise, scale, i.dt)
-    for c in range(MOVING):
-        mean[c] = 0.0
+    walks, rows = n + NOISES, n + NOISES + BIASES
+    gravities(S, i, r0_e, C_ne, a, b, c)
+    put_noises(E, n, noise, scale, i.dt)
+    for k in range(MOVING):
+        mean[k] = 0.0
     for j in range(rows):
-        plus = deviation(i, C, E[j], H, r0_e, C_ne)
-        minus = deviation(i, C, E[j], -H, r0_e, C_ne)
+        if j < n:
+            plus = deviation(i, C, S[j], H, (a[j], b[j], c[j]))
+            minus = deviation(i, C, S[j], -H, (a[n + j], b[n + j], c[n + j]))
+        else:
+            plus = deviation(i, C, E[j], H, NONE)
+            minus = deviation(i, C, E[j], -H, NONE)
         put_pair(M, j, rows + j, mean, plus, minus)
-        for c in range(MOVING, M.shape[1]):
-            M[j, c] = S[j, c] if j < n and c < n else 0.0
-            M[rows + j, c] = 0.0
+        for k in range(MOVING, n):
+            M[j, k] = S[j, k] if j < n else 0.0
+            M[rows + j, k] = 0.0
     for k in range(BIASES):
         M[walks + k, MOVING + k] = walk_noise(noise, k, i.dt)
     turn_attitude_deviations(M, 0, 2 * rows, mean[6], mean[7], mean[8])
-    triangularize(M, 0, 2 * rows, n - 1, n)
+    triangularize(M, 0, 2 * rows, n - 1, n, t)
     take_triangle(S, M, 0, n - 1, n)
 
 
@@ -192,55 +223,63 @@ def propagate(
     """`propagate_fully` by the structure of the problem: the same up to rounding.
 
     States that stay are a triangle already. The biases' rows become one with their walks, whose remains join the
-    deviations of the nine states that move. The accelerometer's noise acts linearly: one point, no second difference.
+    deviations of the nine states that move, first those that turn. The accelerometer's noise acts linearly: one point,
+    no second difference.
     """
-    C, M, E, mean = work
+    C, M, t, E, mean, a, b, c = work
     n = S.shape[0]
-    walks, place = BIASES, 2 * BIASES
-    attitude = place + LINEAR
-    noises = place + MOVING
-    second = noises + NOISES
-    constants = second + LINEAR + 3 + (n - LINEAR)
+    # where rows of M begin: biases, their walks, then what has a share in the attitude, what has none, and constants
+    walks = BIASES
+    attitude = walks + BIASES
+    gyro = attitude + 3
+    turning = gyro + 3 - LINEAR
+    gyro_turning = turning + n
+    place = gyro_turning + 3
+    accel = place + LINEAR
+    falling = accel + 3
+    constants = falling + LINEAR + ROWS
+    end = constants + n - CORE_SIZE
+    gravities(S, i, r0_e, C_ne, a, b, c)
     put_noises(E, 0, noise, scale, i.dt)
-    for c in range(MOVING):
-        mean[c] = 0.0
+    for k in range(MOVING):
+        mean[k] = 0.0
     for j in range(LINEAR):
-        plus = deviation_of_place(i, S[j], H, r0_e, C_ne)
-        minus = deviation_of_place(i, S[j], -H, r0_e, C_ne)
-        put_pair(M, place + j, second + j, mean, plus, minus)
-    for k in range(3):
-        plus = deviation_of_reading(i, C, E[k], H)
-        minus = deviation_of_reading(i, C, E[k], -H)
-        put_pair(M, noises + k, second + LINEAR + k, mean, plus, minus)
-        p, v, theta = deviation_of_reading(i, C, E[3 + k], 1.0)
-        for c in range(3):
-            M[noises + 3 + k, c] = p[c]
-            M[noises + 3 + k, 3 + c] = v[c]
-            M[noises + 3 + k, 6 + c] = theta[c]
+        plus = deviation_of_place(i, S[j], H, (a[j], b[j], c[j]))
+        minus = deviation_of_place(i, S[j], -H, (a[n + j], b[n + j], c[n + j]))
+        put_pair(M, place + j, falling + j, mean, plus, minus)
     for j in range(LINEAR, n):
         if j < MOVING:
-            row = place + j
+            row = attitude + j - LINEAR
         elif j < CORE_SIZE:
             row = CORE_SIZE - 1 - j
         else:
             row = constants + j - CORE_SIZE
-        plus = deviation(i, C, S[j], H, r0_e, C_ne)
-        minus = deviation(i, C, S[j], -H, r0_e, C_ne)
-        put_pair(M, row, second + 3 + j, mean, plus, minus)
-        for c in range(MOVING, n):
-            M[row, c] = S[j, c]
+        plus = deviation(i, C, S[j], H, (a[j], b[j], c[j]))
+        minus = deviation(i, C, S[j], -H, (a[n + j], b[n + j], c[n + j]))
+        put_pair(M, row, turning + j, mean, plus, minus)
+        if j >= MOVING:
+            for k in range(MOVING, CORE_SIZE):
+                M[row, k] = S[j, k]
+    for k in range(3):
+        plus, minus = deviation(i, C, E[k], H, NONE), deviation(i, C, E[k], -H, NONE)
+        put_pair(M, gyro + k, gyro_turning + k, mean, plus, minus)
+        p, v, _ = deviation(i, C, E[3 + k], 1.0, NONE)
+        for axis in range(3):
+            M[accel + k, axis] = p[axis]
+            M[accel + k, 3 + axis] = v[axis]
     for k in range(BIASES):
-        for c in range(M.shape[1]):
-            M[walks + k, c] = 0.0
+        for j in range(CORE_SIZE):
+            M[walks + k, j] = 0.0
         M[walks + k, MOVING + k] = walk_noise(noise, k, i.dt)
-    turn_attitude_deviations(M, 0, constants + n - CORE_SIZE, mean[6], mean[7], mean[8])
-    triangularize(M, 0, place, CORE_SIZE - 1, BIASES)
-    triangularize(M, walks, constants, MOVING - 1, MOVING)
+    turn_attitude_deviations(M, 0, end, mean[6], mean[7], mean[8])
+    triangularize(M, 0, attitude, CORE_SIZE - 1, BIASES, t)
+    triangularize(M, walks, place, MOVING - 1, 3, t)
+    triangularize(M, walks + 3, falling + LINEAR, LINEAR - 1, LINEAR, t)
     take_triangle(S, M, 0, CORE_SIZE - 1, BIASES)
     take_triangle(S, M, walks, MOVING - 1, MOVING)
     for j in range(CORE_SIZE, n):
-        for c in range(MOVING):
-            S[j, c] = M[constants + j - CORE_SIZE, c]
+        for k in range(MOVING):
+            S[j, k] = M[constants + j - CORE_SIZE, k]
 
 
 # ---- the walk ----------------------------------------------------------------------------------------------------
@@ -262,7 +301,7 @@ def step(
     work: Scratch,
 ) -> None:
     """Move x and S, in place, from the reading `u` to the reading `row` (6,) that follows it by dt_us; u <- row."""
-    C, _, _, mean = work
+    C, mean = work[0], work[4]
     pieces = pieces_of(dt_us)
     dt = dt_us * 1e-6 / pieces
     scale = noise_scale(dt_us)
@@ -372,7 +411,7 @@ def fuse(
     """
     n, m = S.shape[0], len(r)
     second, end = m + n, m + 2 * n
-    M = np.zeros((end, padded(n + m)))
+    M, t = deviations(end), np.empty(WIDTH)
     L = np.empty((m, m))
     for i in range(m):
         sigma[i] = math.nan
@@ -389,7 +428,7 @@ def fuse(
             M[m + j, n + i] = FIRST * (D[n + j, i] - D[j, i])
             M[second + j, n + i] = SECOND * (D[n + j, i] + D[j, i])
             r[i] += MEAN * (D[n + j, i] + D[j, i])
-    triangularize(M, 0, end, n + m - 1, m)
+    triangularize(M, 0, end, n + m - 1, m, t)
     y = np.empty(m)
     nis = 0.0
     for k in range(m):
@@ -411,7 +450,7 @@ def fuse(
         for c in range(n):
             d[c] += y[k] * M[k, c]
     turn_attitude_deviations(M, m, end, d[6], d[7], d[8])
-    triangularize(M, m, end, n - 1, n)
+    triangularize(M, m, end, n - 1, n, t)
     for c in range(n):
         s = math.fabs(M[m + n - 1 - c, c])
         if not (s > 0.0 and s < np.inf and math.fabs(d[c]) < np.inf):

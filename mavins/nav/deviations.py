@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from mavins.nav.earth import gravity_at
 from mavins.nav.ins import Vector
 from mavins.nav.kernels import kernel
 from mavins.nav.so3 import Quaternion, exponential, logarithm, product
@@ -87,8 +86,9 @@ def turned(
     """(theta after, du): an attitude error, and errors `w`, `f` of rate and specific force over the whole interval."""
     dt = i.dt
     coning = _cross(i.dw, w)
+    e = exponential(theta[0], theta[1], theta[2])
     q = product(
-        product(i.back, exponential(theta[0], theta[1], theta[2])),
+        product(i.back, e),
         exponential(
             i.phi[0] + dt * w[0] + coning[0],
             i.phi[1] + dt * w[1] + coning[1],
@@ -103,7 +103,6 @@ def turned(
     b0 = F[0] + 0.5 * rotation[0] + twice[0] / 6.0 + i.fixed[0] + s1[0] + s2[0]
     b1 = F[1] + 0.5 * rotation[1] + twice[1] / 6.0 + i.fixed[1] + s1[1] + s2[1]
     b2 = F[2] + 0.5 * rotation[2] + twice[2] / 6.0 + i.fixed[2] + s1[2] + s2[2]
-    e = exponential(theta[0], theta[1], theta[2])
     axis = (e[1], e[2], e[3])
     once = _cross(axis, (b0, b1, b2))
     again = _cross(axis, once)
@@ -116,22 +115,6 @@ def turned(
         C[1, 0] * b0 + C[1, 1] * b1 + C[1, 2] * b2,
         C[2, 0] * b0 + C[2, 1] * b1 + C[2, 2] * b2,
     )
-
-
-@kernel
-def gravity_change(
-    i: Interval, p: Vector, v: Vector, r0_e: FloatArray, C_ne: FloatArray
-) -> Vector:
-    """The difference of gravity at mid-interval for errors of position and velocity."""
-    h = 0.5 * i.dt
-    g = gravity_at(
-        i.middle[0] + (p[0] + h * v[0]),
-        i.middle[1] + (p[1] + h * v[1]),
-        i.middle[2] + (p[2] + h * v[2]),
-        r0_e,
-        C_ne,
-    )
-    return (g[0] - i.g[0], g[1] - i.g[1], g[2] - i.g[2])
 
 
 @kernel

@@ -16,14 +16,13 @@ import numpy as np
 from mavins.nav.kernels import kernel
 from mavins.types import FloatArray
 
+WIDTH = 32
+"""The places in a row of deviations: enough for 19 states and a measurement of 13."""
+ROWS = 8
+R1, R2, R3, R4, R5, R6, R7 = (k * WIDTH for k in range(1, ROWS))
+"""Deviations are taken so many rows at a time; where the rows begin."""
 LANES = 4
-"""Rows of deviations are padded with zeros to a multiple of this, so that a loop over one has no rest."""
-
-
-@kernel
-def padded(n: int) -> int:
-    """The width of rows that hold n values."""
-    return LANES * ((n + LANES - 1) // LANES)
+"""Loops over columns go on to a multiple of this: they have no rest then."""
 
 
 @kernel
@@ -63,39 +62,64 @@ def square_of(P: FloatArray, S: FloatArray) -> None:
 
 
 @kernel
-def triangularize(M: FloatArray, first: int, end: int, last: int, count: int) -> None:
+def deviations(count: int) -> FloatArray:
+    """An array for `count` deviations: rows of zeros, and some more below, which `triangularize` runs into."""
+    return np.zeros((count + ROWS, WIDTH))
+
+
+@kernel
+def triangularize(
+    M: FloatArray, first: int, end: int, last: int, count: int, t: FloatArray
+) -> None:
     """Turn the deviations M[first:end] among themselves, in place, until column last - k is zero after row first + k.
 
-    For k < `count`. M has the padded width, with zeros in the columns after `last`; M^T M stays what it is.
+    For k < `count`. M is an array of `deviations`, zero in the columns after `last`, and in those to be eliminated
+    also in the rows from `end` on; M^T M stays what it is. t (WIDTH,) is scratch.
     """
-    width = padded(last + 1)
-    t = np.empty(width)
+    # flat, eight rows at a time, at distances the compiler knows: only then does it work on several columns at once
+    m = M.reshape(-1)
+    width = LANES * ((last + LANES) // LANES)
     for k in range(count):
         row, column = first + k, last - k
         # the products of the column with every other; the one with itself is its squared length
         for j in range(width):
             t[j] = 0.0
-        for i in range(row, end):
-            a = M[i, column]
+        for i in range(row, end, ROWS):
+            b = m[i * WIDTH :]
+            c0, c1, c2, c3 = b[column], b[R1 + column], b[R2 + column], b[R3 + column]
+            c4, c5, c6, c7 = b[R4 + column], b[R5 + column], b[R6 + column], b[R7 + column]
             for j in range(width):
-                t[j] += a * M[i, j]
+                t[j] += ((c0 * b[j] + c1 * b[R1 + j]) + (c2 * b[R2 + j] + c3 * b[R3 + j])) + (
+                    (c4 * b[R4 + j] + c5 * b[R5 + j]) + (c6 * b[R6 + j] + c7 * b[R7 + j])
+                )
         length = math.sqrt(t[column])
         pivot = M[row, column]
         # of the two reflections the one without cancellation
         onto = -length if pivot > 0.0 else length
         scale = t[column] - onto * pivot
         if scale > 0.0:
+            inverse = 1.0 / scale
             for j in range(width):
-                t[j] = (t[j] - onto * M[row, j]) / scale
+                t[j] = inverse * (t[j] - onto * M[row, j])
             M[row, column] -= onto
-            for i in range(row, end):
-                a = M[i, column]
+            for i in range(row, end, ROWS):
+                b = m[i * WIDTH :]
+                c0, c1, c2, c3 = b[column], b[R1 + column], b[R2 + column], b[R3 + column]
+                c4, c5, c6, c7 = b[R4 + column], b[R5 + column], b[R6 + column], b[R7 + column]
                 for j in range(width):
-                    M[i, j] -= a * t[j]
-            M[row, column] = onto
-            for i in range(row + 1, end):
+                    s = t[j]
+                    b[j] -= c0 * s
+                    b[R1 + j] -= c1 * s
+                    b[R2 + j] -= c2 * s
+                    b[R3 + j] -= c3 * s
+                    b[R4 + j] -= c4 * s
+                    b[R5 + j] -= c5 * s
+                    b[R6 + j] -= c6 * s
+                    b[R7 + j] -= c7 * s
+            for i in range(row, end):
                 M[i, column] = 0.0
-        width = padded(column)
+            M[row, column] = onto
+        width = LANES * ((column + LANES - 1) // LANES)
 
 
 @kernel
