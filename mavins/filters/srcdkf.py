@@ -27,7 +27,16 @@ from mavins.filters.walking import (
     reading_at,
     reading_within,
 )
-from mavins.nav.deviations import Interval, interval, moved, turned
+from mavins.nav.deviations import (
+    DT,
+    GRAVITY,
+    INTERVAL,
+    MIDDLE,
+    moved,
+    pushed,
+    turned,
+    write_interval,
+)
 from mavins.nav.earth import TangentFrame, replace_by_gravity
 from mavins.nav.ins import CORE_SIZE, MOVING, Vector, increments_from_rates, mechanize
 from mavins.nav.kernels import kernel
@@ -47,10 +56,10 @@ from mavins.types import FloatArray, IntArray
 
 H = math.sqrt(3.0)
 """The distance of the sigma points, in sigmas: the fourth moments of a normal distribution are right with it."""
-FIRST = 0.5 / H
-SECOND = 0.5 * math.sqrt(H * H - 1.0) / (H * H)
-MEAN = 0.5 / (H * H)
-"""What the first and second differences are multiplied by in the deviations, and the second ones in the mean."""
+FIRST = 1.0 / H
+SECOND = math.sqrt(H * H - 1.0) / (H * H)
+MEAN = 1.0 / (H * H)
+"""What the odd and even parts (d+ -+ d-) / 2 are multiplied by in the deviations, and the even ones in the mean."""
 LINEAR = 6
 """Errors of position and velocity are added: of their sigma points only gravity is not linear."""
 BIASES = CORE_SIZE - MOVING
@@ -58,15 +67,26 @@ NOISES = 6
 """White noises of gyro and accelerometer, which are errors of the readings over an interval as the biases are."""
 NONE = (0.0, 0.0, 0.0)
 
-Deviation: TypeAlias = tuple[Vector, Vector, Vector]
 Scratch: TypeAlias = tuple[
-    FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray
+    FloatArray,
+    FloatArray,
+    FloatArray,
+    FloatArray,
+    FloatArray,
+    FloatArray,
+    FloatArray,
+    FloatArray,
+    FloatArray,
 ]
 
 
 @kernel
 def scratch(n: int) -> Scratch:
-    """(C, M, t, E, mean, g0, g1, g2): C_nb, deviations after and before an interval, the mean's shift, gravities."""
+    """Arrays for n states.
+
+    (C, M, t, E, mean, g0, g1, g2, i): C_nb, the deviations after an interval, a row of them, those of the readings,
+    the mean's shift, gravities, the interval.
+    """
     rows = n + NOISES + BIASES
     return (
         np.empty((3, 3)),
@@ -77,6 +97,7 @@ def scratch(n: int) -> Scratch:
         np.zeros(2 * n),
         np.zeros(2 * n),
         np.zeros(2 * n),
+        np.zeros(INTERVAL),
     )
 
 
@@ -86,74 +107,79 @@ def scratch(n: int) -> Scratch:
 @kernel
 def gravities(
     S: FloatArray,
-    i: Interval,
+    i: FloatArray,
     r0_e: FloatArray,
     C_ne: FloatArray,
     a: FloatArray,
     b: FloatArray,
     c: FloatArray,
 ) -> None:
-    """(a, b, c), each (2 n,), <- how gravity at mid-interval differs in the sigma points: those of +h s_i, of -h s_i."""
-    n, h = S.shape[0], 0.5 * i.dt
+    """(a, b, c), each (2 n,), <- how gravity at mid-interval differs: the odd parts of h s_i, then the even ones."""
+    n, h = S.shape[0], 0.5 * i[DT]
     for j in range(n):
         d0 = H * (S[j, 0] + h * S[j, 3])
         d1 = H * (S[j, 1] + h * S[j, 4])
         d2 = H * (S[j, 2] + h * S[j, 5])
-        a[j], b[j], c[j] = i.middle[0] + d0, i.middle[1] + d1, i.middle[2] + d2
-        a[n + j], b[n + j], c[n + j] = i.middle[0] - d0, i.middle[1] - d1, i.middle[2] - d2
+        a[j], b[j], c[j] = i[MIDDLE] + d0, i[MIDDLE + 1] + d1, i[MIDDLE + 2] + d2
+        a[n + j], b[n + j], c[n + j] = i[MIDDLE] - d0, i[MIDDLE + 1] - d1, i[MIDDLE + 2] - d2
     replace_by_gravity(a, b, c, r0_e, C_ne)
-    for j in range(2 * n):
-        a[j] -= i.g[0]
-        b[j] -= i.g[1]
-        c[j] -= i.g[2]
-
-
-@kernel
-def deviation(i: Interval, C: FloatArray, e: FloatArray, s: float, dg: Vector) -> Deviation:
-    """(p, v, theta) after the interval, of the error s e, e (15,), before it, to which gravity differs by `dg`."""
-    theta, du = turned(
-        i,
-        C,
-        (s * e[6], s * e[7], s * e[8]),
-        (-s * e[9], -s * e[10], -s * e[11]),
-        (-s * e[12], -s * e[13], -s * e[14]),
-    )
-    p, v = moved(i, (s * e[0], s * e[1], s * e[2]), (s * e[3], s * e[4], s * e[5]), du, dg)
-    return p, v, theta
-
-
-@kernel
-def deviation_of_place(i: Interval, e: FloatArray, s: float, dg: Vector) -> Deviation:
-    """`deviation` of an error of position and velocity alone."""
-    p, v = moved(i, (s * e[0], s * e[1], s * e[2]), (s * e[3], s * e[4], s * e[5]), NONE, dg)
-    return p, v, NONE
+    for k, g in ((GRAVITY, a), (GRAVITY + 1, b), (GRAVITY + 2, c)):
+        for j in range(n):
+            plus, minus = g[j] - i[k], g[n + j] - i[k]
+            g[j], g[n + j] = 0.5 * (plus - minus), 0.5 * (plus + minus)
 
 
 @kernel
 def put_block(
-    M: FloatArray, first: int, second: int, mean: FloatArray, c: int, a: Vector, b: Vector
+    M: FloatArray, first: int, second: int, mean: FloatArray, c: int, odd: Vector, even: Vector
 ) -> None:
-    """`put_pair` for the three columns from c on."""
-    M[first, c] = FIRST * (a[0] - b[0])
-    M[first, c + 1] = FIRST * (a[1] - b[1])
-    M[first, c + 2] = FIRST * (a[2] - b[2])
-    s0, s1, s2 = a[0] + b[0], a[1] + b[1], a[2] + b[2]
-    M[second, c] = SECOND * s0
-    M[second, c + 1] = SECOND * s1
-    M[second, c + 2] = SECOND * s2
-    mean[c] += MEAN * s0
-    mean[c + 1] += MEAN * s1
-    mean[c + 2] += MEAN * s2
+    """Columns c to c + 2 of the rows `first` and `second` of M <- deviations; `mean` takes its share."""
+    for k in range(3):
+        M[first, c + k] = FIRST * odd[k]
+        M[second, c + k] = SECOND * even[k]
+        mean[c + k] += MEAN * even[k]
+
+
+@kernel
+def put_moved(
+    M: FloatArray,
+    first: int,
+    second: int,
+    mean: FloatArray,
+    i: FloatArray,
+    e: FloatArray,
+    j: int,
+    du: tuple[Vector, Vector],
+    dg: tuple[Vector, Vector],
+) -> None:
+    """Position and velocity of the sigma points +- h e[j] after the interval, e (k, 15)."""
+    p = (H * e[j, 0], H * e[j, 1], H * e[j, 2])
+    v = (H * e[j, 3], H * e[j, 4], H * e[j, 5])
+    odd_p, odd_v = moved(i, p, v, du[0], dg[0])
+    even_p, even_v = moved(i, NONE, NONE, du[1], dg[1])
+    put_block(M, first, second, mean, 0, odd_p, even_p)
+    put_block(M, first, second, mean, 3, odd_v, even_v)
 
 
 @kernel
 def put_pair(
-    M: FloatArray, first: int, second: int, mean: FloatArray, plus: Deviation, minus: Deviation
+    M: FloatArray,
+    first: int,
+    second: int,
+    mean: FloatArray,
+    i: FloatArray,
+    C: FloatArray,
+    e: FloatArray,
+    j: int,
+    dg: tuple[Vector, Vector],
 ) -> None:
-    """Rows `first` and `second` of M <- the deviations of a pair of sigma points; `mean` takes its share."""
-    put_block(M, first, second, mean, 0, plus[0], minus[0])
-    put_block(M, first, second, mean, 3, plus[1], minus[1])
-    put_block(M, first, second, mean, 6, plus[2], minus[2])
+    """Rows `first` and `second` of M <- the deviations of the sigma points +- h e[j], gravity differing by `dg`."""
+    theta = (H * e[j, 6], H * e[j, 7], H * e[j, 8])
+    w = (-H * e[j, 9], -H * e[j, 10], -H * e[j, 11])
+    f = (-H * e[j, 12], -H * e[j, 13], -H * e[j, 14])
+    put_moved(M, first, second, mean, i, e, j, pushed(i, C, theta, w, f), dg)
+    odd, even = turned(i, theta, w)
+    put_block(M, first, second, mean, 6, odd, even)
 
 
 @kernel
@@ -174,7 +200,7 @@ def walk_noise(noise: FloatArray, k: int, dt: float) -> float:
 @kernel
 def propagate_fully(
     S: FloatArray,
-    i: Interval,
+    i: FloatArray,
     noise: FloatArray,
     scale: float,
     r0_e: FloatArray,
@@ -185,26 +211,24 @@ def propagate_fully(
 
     All states and all noises alike: a pair of sigma points each, both differences, one triangularization.
     """
-    C, M, t, E, mean, a, b, c = work
+    C, M, t, E, mean, a, b, c, _ = work
     n = S.shape[0]
     walks, rows = n + NOISES, n + NOISES + BIASES
     gravities(S, i, r0_e, C_ne, a, b, c)
-    put_noises(E, n, noise, scale, i.dt)
+    put_noises(E, n, noise, scale, i[DT])
     for k in range(MOVING):
         mean[k] = 0.0
     for j in range(rows):
         if j < n:
-            plus = deviation(i, C, S[j], H, (a[j], b[j], c[j]))
-            minus = deviation(i, C, S[j], -H, (a[n + j], b[n + j], c[n + j]))
+            dg = ((a[j], b[j], c[j]), (a[n + j], b[n + j], c[n + j]))
+            put_pair(M, j, rows + j, mean, i, C, S, j, dg)
         else:
-            plus = deviation(i, C, E[j], H, NONE)
-            minus = deviation(i, C, E[j], -H, NONE)
-        put_pair(M, j, rows + j, mean, plus, minus)
+            put_pair(M, j, rows + j, mean, i, C, E, j, (NONE, NONE))
         for k in range(MOVING, n):
             M[j, k] = S[j, k] if j < n else 0.0
             M[rows + j, k] = 0.0
     for k in range(BIASES):
-        M[walks + k, MOVING + k] = walk_noise(noise, k, i.dt)
+        M[walks + k, MOVING + k] = walk_noise(noise, k, i[DT])
     turn_attitude_deviations(M, 0, 2 * rows, mean[6], mean[7], mean[8])
     triangularize(M, 0, 2 * rows, n - 1, n, t)
     take_triangle(S, M, 0, n - 1, n)
@@ -213,7 +237,7 @@ def propagate_fully(
 @kernel
 def propagate(
     S: FloatArray,
-    i: Interval,
+    i: FloatArray,
     noise: FloatArray,
     scale: float,
     r0_e: FloatArray,
@@ -226,7 +250,7 @@ def propagate(
     deviations of the nine states that move, first those that turn. The accelerometer's noise acts linearly: one point,
     no second difference.
     """
-    C, M, t, E, mean, a, b, c = work
+    C, M, t, E, mean, a, b, c, _ = work
     n = S.shape[0]
     # where rows of M begin: biases, their walks, then what has a share in the attitude, what has none, and constants
     walks = BIASES
@@ -240,13 +264,12 @@ def propagate(
     constants = falling + LINEAR + ROWS
     end = constants + n - CORE_SIZE
     gravities(S, i, r0_e, C_ne, a, b, c)
-    put_noises(E, 0, noise, scale, i.dt)
+    put_noises(E, 0, noise, scale, i[DT])
     for k in range(MOVING):
         mean[k] = 0.0
     for j in range(LINEAR):
-        plus = deviation_of_place(i, S[j], H, (a[j], b[j], c[j]))
-        minus = deviation_of_place(i, S[j], -H, (a[n + j], b[n + j], c[n + j]))
-        put_pair(M, place + j, falling + j, mean, plus, minus)
+        dg = ((a[j], b[j], c[j]), (a[n + j], b[n + j], c[n + j]))
+        put_moved(M, place + j, falling + j, mean, i, S, j, (NONE, NONE), dg)
     for j in range(LINEAR, n):
         if j < MOVING:
             row = attitude + j - LINEAR
@@ -254,23 +277,29 @@ def propagate(
             row = CORE_SIZE - 1 - j
         else:
             row = constants + j - CORE_SIZE
-        plus = deviation(i, C, S[j], H, (a[j], b[j], c[j]))
-        minus = deviation(i, C, S[j], -H, (a[n + j], b[n + j], c[n + j]))
-        put_pair(M, row, turning + j, mean, plus, minus)
+        dg = ((a[j], b[j], c[j]), (a[n + j], b[n + j], c[n + j]))
+        put_pair(M, row, turning + j, mean, i, C, S, j, dg)
         if j >= MOVING:
             for k in range(MOVING, CORE_SIZE):
                 M[row, k] = S[j, k]
     for k in range(3):
-        plus, minus = deviation(i, C, E[k], H, NONE), deviation(i, C, E[k], -H, NONE)
-        put_pair(M, gyro + k, gyro_turning + k, mean, plus, minus)
-        p, v, _ = deviation(i, C, E[3 + k], 1.0, NONE)
-        for axis in range(3):
-            M[accel + k, axis] = p[axis]
-            M[accel + k, 3 + axis] = v[axis]
+        put_pair(M, gyro + k, gyro_turning + k, mean, i, C, E, k, (NONE, NONE))
+        # linear: the second difference is zero, and overwritten
+        put_moved(
+            M,
+            accel + k,
+            walks + k,
+            mean,
+            i,
+            E,
+            3 + k,
+            pushed(i, C, NONE, NONE, (H * E[3 + k, 12], H * E[3 + k, 13], H * E[3 + k, 14])),
+            (NONE, NONE),
+        )
     for k in range(BIASES):
         for j in range(CORE_SIZE):
             M[walks + k, j] = 0.0
-        M[walks + k, MOVING + k] = walk_noise(noise, k, i.dt)
+        M[walks + k, MOVING + k] = walk_noise(noise, k, i[DT])
     turn_attitude_deviations(M, 0, end, mean[6], mean[7], mean[8])
     triangularize(M, 0, attitude, CORE_SIZE - 1, BIASES, t)
     triangularize(M, walks, place, MOVING - 1, 3, t)
@@ -301,7 +330,7 @@ def step(
     work: Scratch,
 ) -> None:
     """Move x and S, in place, from the reading `u` to the reading `row` (6,) that follows it by dt_us; u <- row."""
-    C, mean = work[0], work[4]
+    C, mean, i = work[0], work[4], work[8]
     pieces = pieces_of(dt_us)
     dt = dt_us * 1e-6 / pieces
     scale = noise_scale(dt_us)
@@ -315,7 +344,7 @@ def step(
             x[2] + 0.5 * dt * x[5],
         )
         g = mechanize(x, phi, dv, dt, r0_e, C_ne, w_ie_n, C)
-        i = interval(w0, f0, w1, f1, phi, dv, dt, middle, g, w_ie_n)
+        write_interval(i, w0, f0, w1, f1, phi, dv, dt, middle, g, w_ie_n)
         if full:
             propagate_fully(S, i, noise, scale, r0_e, C_ne, work)
         else:
@@ -425,9 +454,10 @@ def fuse(
         for c in range(j + 1):
             M[m + j, c] = S[j, c]
         for i in range(m):
-            M[m + j, n + i] = FIRST * (D[n + j, i] - D[j, i])
-            M[second + j, n + i] = SECOND * (D[n + j, i] + D[j, i])
-            r[i] += MEAN * (D[n + j, i] + D[j, i])
+            odd, even = 0.5 * (D[n + j, i] - D[j, i]), 0.5 * (D[n + j, i] + D[j, i])
+            M[m + j, n + i] = FIRST * odd
+            M[second + j, n + i] = SECOND * even
+            r[i] += MEAN * even
     triangularize(M, 0, end, n + m - 1, m, t)
     y = np.empty(m)
     nis = 0.0
@@ -531,7 +561,5 @@ class Srcdkf:
             first = H * np.outer(state.own[:, j], J[:, TAU.start])
             D -= np.concatenate([first, -first])
         innovation, sigma = r.copy(), np.empty(len(r))
-        nis = fuse(
-            state.x, state.P, state.own, innovation, D, observation.R, columns, gate, sigma
-        )
+        nis = fuse(state.x, state.P, state.own, innovation, D, observation.R, columns, gate, sigma)
         return Outcome(nis, innovation, sigma)

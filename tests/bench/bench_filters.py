@@ -18,15 +18,22 @@ from mavins.filters.settings import SrcdkfSettings
 from mavins.nav.earth import TangentFrame, gravity_n
 from mavins.types import FloatArray, IntArray, Origin
 
-SAMPLES = 250
+SAMPLES = 50
 STEP_US = 4000
-ROUNDS = 400
+ROUNDS = 2000
 NOISE = ImuNoise(0.015, 0.35, 1e-4, 3e-3)
 VARIANTS = {
     "srcdkf full": ("srcdkf", FilterSettings(srcdkf=SrcdkfSettings(full=True))),
 }
 """Forms of a filter that are not its default."""
-TARGETS = {"eskf": 1.5, "euler_ekf": 3.0, "ieskf": 2.0, "iekf": 2.0, "srcdkf": 10.0, "srcdkf full": 16.0}
+TARGETS = {
+    "eskf": 1.5,
+    "euler_ekf": 3.0,
+    "ieskf": 2.0,
+    "iekf": 2.0,
+    "srcdkf": 10.0,
+    "srcdkf full": 16.0,
+}
 
 
 @numba.njit
