@@ -15,9 +15,8 @@ from __future__ import annotations
 
 from mavins.nav.ins import Vector
 from mavins.nav.kernels import kernel
-from mavins.nav.so3 import Quaternion, exponential, logarithm, product
+from mavins.nav.so3 import exponential, logarithm, product
 from mavins.types import FloatArray
-
 
 INTERVAL = 32
 """What the deviations over one interval have in common is an array of this length: a long tuple is slow to hand on."""
@@ -151,7 +150,7 @@ def pushed(
 
 @kernel
 def moved(c: FloatArray, p: Vector, v: Vector, du: Vector, dg: Vector) -> tuple[Vector, Vector]:
-    """(p after, v after) of errors of position and velocity, with du and dg: linear, so for odd and even parts alike."""
+    """(p after, v after) of errors of position and velocity, with du and dg; linear: for odd and even parts alike."""
     dt = c[DT]
     h = 0.5 * dt
     a0, a1, a2 = du[0] + dg[0] * dt, du[1] + dg[1] * dt, du[2] + dg[2] * dt

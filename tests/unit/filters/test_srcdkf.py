@@ -247,7 +247,8 @@ def test_a_delay_is_seen_through_the_motion() -> None:
     state.P = np.diag((1e-3 * SIGMA) ** 2)
     state.P[18, 18] = 0.5**2
     algorithm.adopt(state)
-    fix = observation(gnss_position, state.x[:3] + [1.0, 0.0, 0.0], np.eye(3) * 1e-4, np.empty(0))
+    z = state.x[:3] + np.array([1.0, 0.0, 0.0])
+    fix = observation(gnss_position, z, np.eye(3) * 1e-4, np.empty(0))
     algorithm.update(state, fix, math.inf)
     assert state.x[19] == pytest.approx(-0.1, rel=1e-3)
 

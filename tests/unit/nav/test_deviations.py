@@ -36,25 +36,25 @@ def vector(a: FloatArray) -> tuple[float, float, float]:
 def after(x: FloatArray, readings: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """(state after, C_nb before, g) with the readings (4, 3): w0, f0, w1, f1, not corrected."""
     y = x.copy()
-    w0, f0, w1, f1 = (vector(a - b) for a, b in zip(readings, [x[10:13], x[13:16]] * 2, strict=True))
+    w0, f0, w1, f1 = (
+        vector(a - b) for a, b in zip(readings, [x[10:13], x[13:16]] * 2, strict=True)
+    )
     phi, dv = increments_from_rates(w0, f0, w1, f1, DT)
     C = np.empty((3, 3))
     g = mechanize(y, phi, dv, DT, *EARTH, C)
     return y, C, np.array(g)
 
 
-def parts(
-    x: FloatArray, readings: FloatArray, e: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+def parts(x: FloatArray, readings: FloatArray, e: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Odd and even part (9,) of the deviations of +- e."""
-    w0, f0, w1, f1 = (vector(a - b) for a, b in zip(readings, [x[10:13], x[13:16]] * 2, strict=True))
+    w0, f0, w1, f1 = (
+        vector(a - b) for a, b in zip(readings, [x[10:13], x[13:16]] * 2, strict=True)
+    )
     phi, dv = increments_from_rates(w0, f0, w1, f1, DT)
     middle = x[:3] + 0.5 * DT * x[3:6]
     _, C, g = after(x, readings)
     c = np.empty(INTERVAL)
-    write_interval(
-        c, w0, f0, w1, f1, phi, dv, DT, vector(middle), vector(g), FRAME.w_ie_n
-    )
+    write_interval(c, w0, f0, w1, f1, phi, dv, DT, vector(middle), vector(g), FRAME.w_ie_n)
     assert_array_equal(c[MIDDLE : MIDDLE + 3], middle)
     assert_array_equal(c[GRAVITY : GRAVITY + 3], g)
     shift = e[:3] + 0.5 * DT * e[3:6]
