@@ -45,3 +45,7 @@ class Measurement(NamedTuple):
 
         out: FloatArray = residuals(self.rank, X, u, self.z, self.parameters)
         return out
+
+    def differences(self, X: FloatArray, u: FloatArray, r: FloatArray) -> FloatArray:
+        """The residuals (k, m) of X less the residual r (m,): the short way round where residuals are wrapped."""
+        return self._replace(z=self.z - r).residuals(X, u)

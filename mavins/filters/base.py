@@ -83,6 +83,9 @@ class Observation(Protocol):
     def residuals(self, X: FloatArray, u: FloatArray) -> FloatArray:
         """The residuals (k, m) of nominal states X (k, 20)."""
 
+    def differences(self, X: FloatArray, u: FloatArray, r: FloatArray) -> FloatArray:
+        """The residuals (k, m) of X less the residual r (m,): the short way round where residuals are wrapped."""
+
 
 class Outcome(NamedTuple):
     """What has become of a measurement: its NIS, the innovation (m,) and sqrt(diag S) (m,), both before the update."""

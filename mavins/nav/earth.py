@@ -118,6 +118,17 @@ def ecef_of(p_n: FloatArray, r0_e: FloatArray, C_ne: FloatArray) -> FloatArray:
 
 
 @kernel
+def gravity_up(x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Normal gravity in m/s^2 at the ECEF position (x, y, z), times the plumb line's upward direction, in e."""
+    sin_lat, cos_lat, alt = geodetic_direction(x, y, z)
+    g = normal_gravity(sin_lat, alt)
+    d = math.sqrt(x * x + y * y)
+    # at a pole the horizontal part vanishes with cos(lat)
+    k = g * cos_lat / d if d > 0.0 else 0.0
+    return (k * x, k * y, g * sin_lat)
+
+
+@kernel
 def gravity_at(
     p0: float, p1: float, p2: float, r0_e: FloatArray, C_ne: FloatArray
 ) -> tuple[float, float, float]:
@@ -125,17 +136,31 @@ def gravity_at(
     x = r0_e[0] + C_ne[0, 0] * p0 + C_ne[1, 0] * p1 + C_ne[2, 0] * p2
     y = r0_e[1] + C_ne[0, 1] * p0 + C_ne[1, 1] * p1 + C_ne[2, 1] * p2
     z = r0_e[2] + C_ne[0, 2] * p0 + C_ne[1, 2] * p1 + C_ne[2, 2] * p2
-    sin_lat, cos_lat, alt = geodetic_direction(x, y, z)
-    g = normal_gravity(sin_lat, alt)
-    d = math.sqrt(x * x + y * y)
-    # the plumb line's upward direction in e; at a pole its horizontal part vanishes with cos(lat)
-    k = g * cos_lat / d if d > 0.0 else 0.0
-    u0, u1, u2 = k * x, k * y, g * sin_lat
+    u0, u1, u2 = gravity_up(x, y, z)
     return (
         -(C_ne[0, 0] * u0 + C_ne[0, 1] * u1 + C_ne[0, 2] * u2),
         -(C_ne[1, 0] * u0 + C_ne[1, 1] * u1 + C_ne[1, 2] * u2),
         -(C_ne[2, 0] * u0 + C_ne[2, 1] * u1 + C_ne[2, 2] * u2),
     )
+
+
+@kernel
+def replace_by_gravity(
+    a: FloatArray, b: FloatArray, c: FloatArray, r0_e: FloatArray, C_ne: FloatArray
+) -> None:
+    """Places p_n = (a, b, c), each (K,), <- g_n there, in place: several at a time, as `gravity_at` cannot."""
+    x0, y0, z0 = r0_e[0], r0_e[1], r0_e[2]
+    n0, n1, n2 = C_ne[0, 0], C_ne[0, 1], C_ne[0, 2]
+    e0, e1, e2 = C_ne[1, 0], C_ne[1, 1], C_ne[1, 2]
+    d0, d1, d2 = C_ne[2, 0], C_ne[2, 1], C_ne[2, 2]
+    for k in range(len(a)):
+        x = x0 + n0 * a[k] + e0 * b[k] + d0 * c[k]
+        y = y0 + n1 * a[k] + e1 * b[k] + d1 * c[k]
+        z = z0 + n2 * a[k] + e2 * b[k] + d2 * c[k]
+        u0, u1, u2 = gravity_up(x, y, z)
+        a[k] = -(n0 * u0 + n1 * u1 + n2 * u2)
+        b[k] = -(e0 * u0 + e1 * u1 + e2 * u2)
+        c[k] = -(d0 * u0 + d1 * u1 + d2 * u2)
 
 
 @kernel

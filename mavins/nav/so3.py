@@ -100,17 +100,24 @@ def quat_exp(phi: FloatArray) -> FloatArray:
 
 
 @kernel
+def logarithm(q: Quaternion) -> tuple[float, float, float]:
+    """`quat_log` on tuples."""
+    n2 = q[1] * q[1] + q[2] * q[2] + q[3] * q[3]
+    if 4.0 * n2 < SMALL:
+        # 2 asin(n) / n
+        s = 2.0 + n2 * (1.0 / 3.0 + n2 * (3.0 / 20.0 + n2 * (5.0 / 56.0 + n2 * (35.0 / 576.0))))
+    else:
+        n = math.sqrt(n2)
+        s = 2.0 * math.atan2(n, abs(q[0])) / n
+    if q[0] < 0.0:
+        s = -s
+    return (s * q[1], s * q[2], s * q[3])
+
+
+@kernel
 def quat_log(q: FloatArray) -> FloatArray:
     """Log(q): the rotation vector, |phi| <= pi, of a unit quaternion (Sola eq. 105)."""
-    sign = 1.0 if q[0] >= 0.0 else -1.0
-    w = sign * q[0]
-    n = math.sqrt(q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
-    # 2 atan2(n, w) / n; the series keeps full precision where n vanishes
-    scale = 2.0 / w * (1.0 - n * n / (3.0 * w * w)) if n < 1e-7 else 2.0 * math.atan2(n, w) / n
-    phi = np.empty(3)
-    for i in range(3):
-        phi[i] = sign * scale * q[i + 1]
-    return phi
+    return np.array(logarithm((q[0], q[1], q[2], q[3])))
 
 
 @kernel

@@ -75,7 +75,7 @@ def true_states(truth: TruthTable, estimates: Estimates) -> FloatArray:
 
 
 def series(
-    scenario: Scenario, duration: float, runs: int
+    scenario: Scenario, duration: float, runs: int, filter_name: str
 ) -> Iterator[tuple[Measurements, Estimates]]:
     """Simulate here, estimate in two other processes."""
     settings, origin = matched_settings(scenario), origin_of(scenario)
@@ -85,18 +85,18 @@ def series(
         for seed in range(runs):
             m = simulate(scenario, seed, duration)
             fixes = [dataclasses.replace(fix, delay=scenario.gnss.latency) for fix in m.fixes]
-            args = (settings, origin, m.imu, fixes, m.headings, SECOND_US)
+            args = (settings, origin, m.imu, fixes, m.headings, SECOND_US, filter_name)
             jobs.append((m, pool.submit(estimate, *args)))
         for m, job in jobs:
             yield m, job.result()
 
 
 def mean_nees(
-    scenario: Scenario, duration: float, runs: int
+    scenario: Scenario, duration: float, runs: int, filter_name: str = "eskf"
 ) -> tuple[FloatArray, set[tuple[str, str]]]:
     """The mean NEES at each second from 30 s after the last start on, and what was refused and why."""
     values, refused = [], set()
-    for flight, estimates in series(scenario, duration, runs):
+    for flight, estimates in series(scenario, duration, runs, filter_name):
         refused |= {key for key in estimates.decisions if key[1]}
         e = errors(true_states(flight.truth, estimates), estimates.x)
         values.append((estimates.t_us, nees(e, estimates.P)))
@@ -104,10 +104,11 @@ def mean_nees(
     return np.mean([v[t_us >= begin] for t_us, v in values], axis=0), refused
 
 
+@pytest.mark.parametrize("filter_name", ["eskf", "srcdkf"])
 @pytest.mark.parametrize(("name", "duration"), [("quad_mission", 145.0), ("square_spiral", 450.0)])
 @pytest.mark.timeout(600)
-def test_mean_nees_keeps_its_band(name: str, duration: float) -> None:
-    mean, refused = mean_nees(without_model_errors(load(name)), duration, RUNS)
+def test_mean_nees_keeps_its_band(name: str, duration: float, filter_name: str) -> None:
+    mean, refused = mean_nees(without_model_errors(load(name)), duration, RUNS, filter_name)
     assert not refused
     assert len(mean) > 90
     assert share_inside(mean, dof=9, runs=RUNS) >= 0.9, f"mean NEES {mean.mean():.2f} of 9"
