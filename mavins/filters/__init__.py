@@ -13,6 +13,7 @@ from mavins.nav.layout import Layout
 REGISTRY: Final = {
     "eskf": "mavins.filters.eskf:Eskf",
     "iekf": "mavins.filters.iekf:Iekf",
+    "ieskf": "mavins.filters.ieskf:Ieskf",
 }
 
 
