@@ -16,19 +16,12 @@ import math
 
 import numpy as np
 
-from mavins.filters.base import FilterState, Observation, Outcome
-from mavins.filters.eskf import Eskf
+from mavins.filters.iterated import J_L, J_R, N_P, N_V, Iterated
 from mavins.nav.ins import Vector
 from mavins.nav.kernels import kernel
 from mavins.nav.layout import boxplus
-from mavins.nav.linalg import gated_update
 from mavins.nav.so3 import SMALL, write_dcm, write_right_jacobian
 from mavins.types import FloatArray, IntArray
-
-BLOCKS = 4
-J_L, N_P, N_V, J_R = range(BLOCKS)
-"""Places of the 3x3 blocks of a step's derivative G: of dp by dp and dv by dv, of dp and of dv by theta_b, and of
-theta_b by itself."""
 
 
 @kernel
@@ -73,13 +66,13 @@ def write_bend(N: FloatArray, phi: Vector, d: FloatArray, first: int) -> None:
 
 
 @kernel
-def group_step(x: FloatArray, d: FloatArray, columns: IntArray, G: FloatArray) -> None:
-    """X <- Exp(xi) x for the correction d (n,) over canonical errors; G (4, 3, 3) <- the step's derivative by d.
+def group_step(x: FloatArray, s: FloatArray, columns: IntArray, G: FloatArray) -> None:
+    """X <- Exp(xi) x for the correction s (n,) over canonical errors; G (4, 3, 3) <- its derivative by s.
 
     With phi = C_nb theta_b and rho = dp + [p]x phi, Exp(phi) p + Jl(phi) rho = p + Jl(phi) dp: the place of the origin
-    cancels, and v likewise. d is scratch afterwards.
+    cancels, and v likewise.
     """
-    C, T = np.empty((3, 3)), np.empty((3, 3))
+    C, T, d = np.empty((3, 3)), np.empty((3, 3)), s.copy()
     write_dcm(C, (x[6], x[7], x[8], x[9]))
     phi = (
         C[0, 0] * d[6] + C[0, 1] * d[7] + C[0, 2] * d[8],
@@ -99,59 +92,7 @@ def group_step(x: FloatArray, d: FloatArray, columns: IntArray, G: FloatArray) -
     boxplus(x, d, columns)
 
 
-@kernel
-def turn_rows(M: FloatArray, G: FloatArray) -> None:
-    """M <- G M in place, for M (n, k) with rows of canonical errors and the blocks G (4, 3, 3) of `group_step`."""
-    for c in range(M.shape[1]):
-        p0, p1, p2 = M[0, c], M[1, c], M[2, c]
-        v0, v1, v2 = M[3, c], M[4, c], M[5, c]
-        t0, t1, t2 = M[6, c], M[7, c], M[8, c]
-        for i in range(3):
-            j0, j1, j2 = G[J_L, i, 0], G[J_L, i, 1], G[J_L, i, 2]
-            M[i, c] = (j0 * p0 + j1 * p1 + j2 * p2) + (
-                G[N_P, i, 0] * t0 + G[N_P, i, 1] * t1 + G[N_P, i, 2] * t2
-            )
-            M[3 + i, c] = (j0 * v0 + j1 * v1 + j2 * v2) + (
-                G[N_V, i, 0] * t0 + G[N_V, i, 1] * t1 + G[N_V, i, 2] * t2
-            )
-            M[6 + i, c] = G[J_R, i, 0] * t0 + G[J_R, i, 1] * t1 + G[J_R, i, 2] * t2
-
-
-@kernel
-def turn_covariance(P: FloatArray, G: FloatArray) -> None:
-    """P <- G P G^T, in place and exactly symmetric."""
-    turn_rows(P, G)
-    turn_rows(P.T, G)
-    for i in range(P.shape[0]):
-        for j in range(i):
-            P[i, j] = P[j, i]
-
-
-@kernel
-def fuse(
-    x: FloatArray,
-    P: FloatArray,
-    r: FloatArray,
-    H: FloatArray,
-    R: FloatArray,
-    columns: IntArray,
-    gate: float,
-    sigma: FloatArray,
-) -> float:
-    """Gated update of P, the correction along the group, P turned with it; returns the NIS.
-
-    NIS and K r do not depend on the coordinates of the error, so both are worked out over the canonical ones.
-    """
-    d = np.empty(P.shape[0])
-    nis = gated_update(P, r, H, R, columns, gate, d, sigma)
-    if nis <= gate:
-        G = np.empty((BLOCKS, 3, 3))
-        group_step(x, d, columns, G)
-        turn_covariance(P, G)
-    return nis
-
-
-class Iekf(Eskf):
+class Iekf(Iterated):
     """The invariant filter behind the estimator's `Filter` interface.
 
     Propagating the invariant error's covariance and turning it into the canonical one, T P T^T, is the same linear map
@@ -159,9 +100,4 @@ class Iekf(Eskf):
     covariance on the way, is what makes the two filters differ.
     """
 
-    def update(self, state: FilterState, observation: Observation, gate: float) -> Outcome:
-        """Fuse a measurement."""
-        r, H = observation.linearize(state.x, state.u)
-        sigma = np.empty(len(r))
-        nis = fuse(state.x, state.P, r, H, observation.R, self.layout.columns, gate, sigma)
-        return Outcome(nis, r, sigma)
+    step = staticmethod(group_step)
