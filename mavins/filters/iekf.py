@@ -7,7 +7,7 @@ over (p_n, v_n, C_nb) in the axes of n. To first order the canonical errors are
 
 Sources: Barrau and Bonnabel, "The Invariant Extended Kalman Filter as a Stable Observer" (2017); Hartley, Ghaffari,
 Eustice and Grizzle, "Contact-aided invariant extended Kalman filtering for robot state estimation" (2020), for the
-biases. Theory: docs/theory/iekf.md.
+biases; Goffin et al., "Iterated invariant extended Kalman filter" (2024). Theory: docs/theory/iekf.md.
 """
 
 from __future__ import annotations
