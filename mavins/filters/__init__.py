@@ -13,6 +13,8 @@ from mavins.nav.layout import Layout
 REGISTRY: Final = {
     "eskf": "mavins.filters.eskf:Eskf",
     "srcdkf": "mavins.filters.srcdkf:Srcdkf",
+    "iekf": "mavins.filters.iekf:Iekf",
+    "ieskf": "mavins.filters.ieskf:Ieskf",
 }
 
 

@@ -3,6 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
+
+from annotated_types import Ge, Gt, Le
+
+from mavins.documented import Doc
+
+
+@dataclass(frozen=True, slots=True)
+class IteratedSettings:
+    """The iterated update of `ieskf`."""
+
+    iterations: Annotated[
+        int, Ge(1), Le(100), Doc("At most this many linearizations of a measurement.")
+    ] = 4
+    threshold: Annotated[
+        float,
+        Gt(0),
+        Le(1),
+        Doc("A change of the state by less than this, in its sigmas, is the last."),
+    ] = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,3 +37,4 @@ class FilterSettings:
     """Settings of single filters."""
 
     srcdkf: SrcdkfSettings = SrcdkfSettings()
+    iterated: IteratedSettings = IteratedSettings()
