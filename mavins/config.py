@@ -20,7 +20,7 @@ from mavins.estimator.settings import Settings
 from mavins.mavlink.settings import SessionSettings, StreamSettings
 from mavins.mavlink.sources import SourceSettings
 
-FilterName = Literal["eskf"]
+FilterName = Literal["eskf", "euler_ekf"]
 
 _WIDTH = 100
 _MISSING = dataclasses.MISSING

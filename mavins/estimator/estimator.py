@@ -75,7 +75,7 @@ class Estimator:
             settings.imu.gyro_bias_walk,
             settings.imu.accel_bias_walk,
         )
-        self.filter: Filter = make(filter_name, self._noise)
+        self.filter: Filter = make(filter_name, self._noise, settings=settings.filters)
         self._buffer_us = round(settings.estimator.buffer * 1e6)
         self._window_us = round(settings.alignment.window * 1e6)
         self._imu_delay_us = round(settings.imu.delay * 1e6)

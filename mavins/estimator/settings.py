@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 from annotated_types import Ge, Gt, Le
 
 from mavins.documented import Doc
+from mavins.filters.settings import FilterSettings
 
 Vector3 = tuple[float, float, float]
 
@@ -225,3 +226,4 @@ class Settings:
     zero_velocity: ZeroVelocitySettings = ZeroVelocitySettings()
     alignment: AlignmentSettings = AlignmentSettings()
     estimator: EstimatorSettings = EstimatorSettings()
+    filters: FilterSettings = FilterSettings()

@@ -12,6 +12,7 @@ from mavins.nav.layout import Layout
 
 REGISTRY: Final = {
     "eskf": "mavins.filters.eskf:Eskf",
+    "euler_ekf": "mavins.filters.euler_ekf:EulerEkf",
 }
 
 
