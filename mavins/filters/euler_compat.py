@@ -12,13 +12,17 @@ from typing import Final
 
 from mavins.filters import van_loan
 from mavins.filters.euler_model import (
-    Dynamics,
+    Trig,
     acceleration,
     angle_rates,
     linearize,
     moved,
+    trig,
+    write_angle_dynamics,
+    write_inverse_kinematics,
 )
-from mavins.nav.ins import Vector
+from mavins.filters.van_loan import AFTER, E_INV, A, B, E, multiply
+from mavins.nav.ins import MOVING, Vector
 from mavins.nav.kernels import kernel
 from mavins.types import FloatArray
 
@@ -36,27 +40,54 @@ def advance(
     f: Vector,
     h: float,
     noise: FloatArray,
-    F: Dynamics,
     work: van_loan.Workspace,
 ) -> Vector:
     """Move p_n, v_n and P, in place, over h at the rate w and the specific force f; returns the angles after it."""
+    M = work[0]
     end = moved(angles, angle_rates(angles[0], angles[1], w), h)
-    linearize(F, angles, angles, end, w, f)
-    A, D, C, S, scratch = F
-    a = acceleration(C, f, (0.0, 0.0, GRAVITY))
+    at = trig(angles)
+    linearize(M, at, at, trig(end), w, f)
+    a = acceleration(M, f, (0.0, 0.0, GRAVITY))
     for i in range(3):
         x[i] += h * x[3 + i]
         x[3 + i] += h * a[i]
-    N, E_inv = scratch[0], scratch[1]
-    van_loan.multiply_turned(N, E_inv, E_inv)
-    q_g, q_a, q_bg, q_ba = noise[0] ** 2, noise[1] ** 2, noise[2] ** 2, noise[3] ** 2
-    van_loan.predict(P, A, D, C, S, N, h, (q_g, q_a, 0.0, q_ba), work)
-    for i in range(3):
-        for j in range(3):
-            N[i, j] = 1.0 if i == j else 0.0
-    W, X = work[1], work[2]
-    van_loan.write_noise_integrals(X, W, A, N, h, work)
-    van_loan.add_noise(P, X, W, D, C, h, (0.0, 0.0, q_bg, 0.0), work)
+    q_angles, q_a, q_bg, q_ba = noise[0] ** 2, noise[1] ** 2, noise[2] ** 2, noise[3] ** 2
+    van_loan.predict(P, h, (0.0, q_a, q_bg, q_ba), work)
+    add_angle_noise(P, work, at, trig(end), w, h, q_angles)
     for i in range(3):
         P[i, i] += POSITION_NOISE**2 * h
     return end
+
+
+@kernel
+def add_angle_noise(
+    P: FloatArray,
+    work: van_loan.Workspace,
+    at: Trig,
+    end: Trig,
+    w: Vector,
+    h: float,
+    q: float,
+) -> None:
+    """P <- P + the part of Q that comes of noise on the angles, of PSD q: on roll, pitch and yaw it is the same.
+
+    The errors of the angles are taken as they are for this; B and AFTER lead from them, by E^-1, to the canonical ones.
+    """
+    M, _, _, _, block, c = work
+    write_angle_dynamics(M, A, at, w)
+    write_inverse_kinematics(M, E_INV, at)
+    multiply(M, E, B, E_INV)
+    for i in range(3):
+        for j in range(3):
+            M[B, i, j] = M[E, i, j]
+    write_inverse_kinematics(M, AFTER, end)
+    van_loan.write_exponential_integrals(M, h)
+    van_loan.write_noise_integrals(M, h, q, 0.0, c)
+    for i in range(MOVING):
+        for j in range(i + 1):
+            block[i, j] = 0.0
+    van_loan.add_noise(block, M, h, (q, 0.0, 0.0, 0.0))
+    for i in range(MOVING):
+        for j in range(i + 1):
+            P[i, j] += block[i, j]
+            P[j, i] = P[i, j]

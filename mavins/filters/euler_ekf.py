@@ -8,7 +8,7 @@ Theory: docs/theory/euler_ekf.md.
 from __future__ import annotations
 
 import math
-from typing import Final, TypeAlias
+from typing import Final
 
 import numpy as np
 
@@ -18,19 +18,19 @@ from mavins.filters.euler_model import (
     HELD,
     LEAST_COS,
     SINGULAR,
-    Dynamics,
     acceleration,
-    dynamics,
     integrate_angles,
     is_singular,
     linearize,
     middle,
     move,
+    trig,
     write_dcm,
+    write_inverse_kinematics,
     write_kinematics,
 )
 from mavins.filters.settings import FilterSettings
-from mavins.filters.van_loan import multiply
+from mavins.filters.van_loan import E_INV, SPARE, C, E, multiply
 from mavins.filters.walking import (
     is_due,
     noise_scale,
@@ -46,8 +46,6 @@ from mavins.nav.layout import Layout
 from mavins.nav.linalg import gated_update
 from mavins.nav.so3 import euler_to_quat, quat_to_euler
 from mavins.types import FloatArray, IntArray
-
-Workspace: TypeAlias = tuple[Dynamics, van_loan.Workspace]
 
 MOST_TURN: Final = 0.5
 """An interval in which roll or yaw could turn by more (rad) is cut: the dynamics are linearized over one piece."""
@@ -75,27 +73,21 @@ def advance(
     noise: van_loan.Noise,
     r0_e: FloatArray,
     C_ne: FloatArray,
-    F: Dynamics,
     work: van_loan.Workspace,
 ) -> Vector:
     """Move p_n, v_n and P, in place, over h between two readings joined by a line; returns the angles after it."""
-    A, D, C, S, scratch = F
-    g = gravity_at(
-        x[0] + 0.5 * h * x[3], x[1] + 0.5 * h * x[4], x[2] + 0.5 * h * x[5], r0_e, C_ne
-    )
+    M = work[0]
+    g = gravity_at(x[0] + 0.5 * h * x[3], x[1] + 0.5 * h * x[4], x[2] + 0.5 * h * x[5], r0_e, C_ne)
     f = middle(f0, f1)
     at, end = integrate_angles(angles, w0, w1, h)
-    write_dcm(C, angles)
-    a0 = acceleration(C, f0, g)
-    write_dcm(C, end)
-    a1 = acceleration(C, f1, g)
-    linearize(F, angles, at, end, middle(w0, w1), f)
-    move(x, a0, acceleration(C, f, g), a1, h)
-    N = scratch[0]
-    for i in range(3):
-        for j in range(3):
-            N[i, j] = 1.0 if i == j else 0.0
-    van_loan.predict(P, A, D, C, S, N, h, noise, work)
+    before, after = trig(angles), trig(end)
+    write_dcm(M, C, before)
+    a0 = acceleration(M, f0, g)
+    write_dcm(M, C, after)
+    a1 = acceleration(M, f1, g)
+    linearize(M, before, trig(at), after, middle(w0, w1), f)
+    move(x, a0, acceleration(M, f, g), a1, h)
+    van_loan.predict(P, h, noise, work)
     return end
 
 
@@ -110,19 +102,18 @@ def step(
     compat: bool,
     r0_e: FloatArray,
     C_ne: FloatArray,
-    work: Workspace,
+    work: van_loan.Workspace,
 ) -> None:
     """Move x and P, in place, from the reading `u` to the reading `row` (6,) that follows it by dt_us; u <- row.
 
     A state that comes too near to straight up or down is held there, so that whoever looks at it after a walk sees it.
     """
-    F, room = work
     euler = quat_to_euler(x[6:10])
     angles = (euler[0], euler[1], euler[2])
     if not is_singular(angles[1]):
         if compat:
             w, f = reading_within(x, row, row, 0.0, dt_us)
-            angles = euler_compat.advance(x, P, angles, w, f, dt_us * 1e-6, noise, F, room)
+            angles = euler_compat.advance(x, P, angles, w, f, dt_us * 1e-6, noise, work)
         else:
             scale = noise_scale(dt_us)
             psd = (
@@ -136,7 +127,7 @@ def step(
             w0, f0 = reading_within(x, u, row, 0.0, dt_us)
             for i in range(pieces):
                 w1, f1 = reading_within(x, u, row, (i + 1.0) / pieces, dt_us)
-                angles = advance(x, P, angles, w0, f0, w1, f1, h, psd, r0_e, C_ne, F, room)
+                angles = advance(x, P, angles, w0, f0, w1, f1, h, psd, r0_e, C_ne, work)
                 if is_singular(angles[1]):
                     break
                 w0, f0 = w1, f1
@@ -196,7 +187,7 @@ def walk_rows(
     count: int,
 ) -> int:
     """Walk IMU rows (see Filter.walk); returns how many output rows are filled."""
-    work = (dynamics(), van_loan.workspace(P.shape[0]))
+    work = van_loan.workspace(P.shape[0])
     t = start_us
     before = previous_us
     for k in range(len(t_us)):
@@ -237,13 +228,13 @@ def fuse(
         return math.nan
     nis = gated_update(P, r, H, R, columns, gate, d, sigma)
     if nis <= gate:
-        E, E_inv, G = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
-        write_kinematics(E, E_inv, euler[0], euler[1])
+        M = np.empty((SPARE + 1, 3, 3))
+        write_kinematics(M, E, trig((euler[0], euler[1], euler[2])))
         for i in range(3):
-            euler[i] += E[i, 0] * d[6] + E[i, 1] * d[7] + E[i, 2] * d[8]
-        write_kinematics(G, E_inv, euler[0], euler[1])
-        multiply(G, E_inv, E)
-        turn_attitude_error(P, G)
+            euler[i] += M[E, i, 0] * d[6] + M[E, i, 1] * d[7] + M[E, i, 2] * d[8]
+        write_inverse_kinematics(M, E_INV, trig((euler[0], euler[1], euler[2])))
+        multiply(M, SPARE, E_INV, E)
+        turn_attitude_error(P, M[SPARE])
         put_attitude(x, euler[0], euler[1], euler[2])
         for i in range(len(columns)):
             c = columns[i]

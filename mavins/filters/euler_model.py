@@ -14,15 +14,13 @@ from __future__ import annotations
 import math
 from typing import Final, TypeAlias
 
-import numpy as np
-
-from mavins.filters.van_loan import multiply
+from mavins.filters.van_loan import AFTER, BEFORE, E_INV, SPARE, A, B, C, E, multiply
 from mavins.nav.ins import Vector
 from mavins.nav.kernels import kernel
 from mavins.types import FloatArray
 
-Dynamics: TypeAlias = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
-"""(A, D, C, S, scratch) as van_loan takes them."""
+Trig: TypeAlias = tuple[float, float, float, float, float, float]
+"""Sine and cosine of roll, of pitch and of yaw."""
 
 SINGULAR: Final = math.radians(3.0)
 """Nearer than this to straight up or down the angles are not used."""
@@ -85,29 +83,40 @@ def integrate_angles(angles: Vector, w0: Vector, w1: Vector, dt: float) -> tuple
 
 
 @kernel
-def write_dcm(C: FloatArray, angles: Vector) -> None:
-    """C <- C_nb (3, 3) of Z-Y-X Euler angles."""
-    sr, cr = math.sin(angles[0]), math.cos(angles[0])
-    sp, cp = math.sin(angles[1]), math.cos(angles[1])
-    sy, cy = math.sin(angles[2]), math.cos(angles[2])
-    C[0, 0] = cp * cy
-    C[0, 1] = sr * sp * cy - cr * sy
-    C[0, 2] = cr * sp * cy + sr * sy
-    C[1, 0] = cp * sy
-    C[1, 1] = sr * sp * sy + cr * cy
-    C[1, 2] = cr * sp * sy - sr * cy
-    C[2, 0] = -sp
-    C[2, 1] = sr * cp
-    C[2, 2] = cr * cp
+def trig(angles: Vector) -> Trig:
+    """What the matrices below are made of."""
+    return (
+        math.sin(angles[0]),
+        math.cos(angles[0]),
+        math.sin(angles[1]),
+        math.cos(angles[1]),
+        math.sin(angles[2]),
+        math.cos(angles[2]),
+    )
 
 
 @kernel
-def acceleration(C: FloatArray, f: Vector, g: Vector) -> Vector:
-    """v_n' = C f_b + g_n in m/s^2."""
+def write_dcm(M: FloatArray, at: int, a: Trig) -> None:
+    """M[at] <- C_nb of Z-Y-X Euler angles."""
+    sr, cr, sp, cp, sy, cy = a
+    M[at, 0, 0] = cp * cy
+    M[at, 0, 1] = sr * sp * cy - cr * sy
+    M[at, 0, 2] = cr * sp * cy + sr * sy
+    M[at, 1, 0] = cp * sy
+    M[at, 1, 1] = sr * sp * sy + cr * cy
+    M[at, 1, 2] = cr * sp * sy - sr * cy
+    M[at, 2, 0] = -sp
+    M[at, 2, 1] = sr * cp
+    M[at, 2, 2] = cr * cp
+
+
+@kernel
+def acceleration(M: FloatArray, f: Vector, g: Vector) -> Vector:
+    """v_n' = C f_b + g_n in m/s^2, with C in its place in the stack."""
     return (
-        C[0, 0] * f[0] + C[0, 1] * f[1] + C[0, 2] * f[2] + g[0],
-        C[1, 0] * f[0] + C[1, 1] * f[1] + C[1, 2] * f[2] + g[1],
-        C[2, 0] * f[0] + C[2, 1] * f[1] + C[2, 2] * f[2] + g[2],
+        M[C, 0, 0] * f[0] + M[C, 0, 1] * f[1] + M[C, 0, 2] * f[2] + g[0],
+        M[C, 1, 0] * f[0] + M[C, 1, 1] * f[1] + M[C, 1, 2] * f[2] + g[1],
+        M[C, 2, 0] * f[0] + M[C, 2, 1] * f[1] + M[C, 2, 2] * f[2] + g[2],
     )
 
 
@@ -120,90 +129,79 @@ def move(x: FloatArray, a0: Vector, am: Vector, a1: Vector, dt: float) -> None:
 
 
 @kernel
-def write_angle_dynamics(M: FloatArray, roll: float, pitch: float, w: Vector) -> None:
-    """M <- d(E w) / d(roll, pitch, yaw) (3, 3), in 1/s."""
-    sr, cr = math.sin(roll), math.cos(roll)
-    sec = 1.0 / max(math.cos(pitch), LEAST_COS)
-    tan = math.sin(pitch) * sec
+def write_angle_dynamics(M: FloatArray, at: int, a: Trig, w: Vector) -> None:
+    """M[at] <- d(E w) / d(roll, pitch, yaw), in 1/s."""
+    sr, cr, sp, cp, _, _ = a
+    sec = 1.0 / max(cp, LEAST_COS)
+    tan = sp * sec
     along = cr * w[1] - sr * w[2]
     across = sr * w[1] + cr * w[2]
-    M[0, 0] = tan * along
-    M[0, 1] = sec * sec * across
-    M[1, 0] = -across
-    M[1, 1] = 0.0
-    M[2, 0] = sec * along
-    M[2, 1] = sec * tan * across
+    M[at, 0, 0] = tan * along
+    M[at, 0, 1] = sec * sec * across
+    M[at, 1, 0] = -across
+    M[at, 1, 1] = 0.0
+    M[at, 2, 0] = sec * along
+    M[at, 2, 1] = sec * tan * across
     for i in range(3):
-        M[i, 2] = 0.0
+        M[at, i, 2] = 0.0
 
 
 @kernel
-def write_kinematics(E: FloatArray, E_inv: FloatArray, roll: float, pitch: float) -> None:
-    """E <- the kinematic matrix d(roll, pitch, yaw) / d theta_b (3, 3), E_inv <- its inverse."""
-    sr, cr = math.sin(roll), math.cos(roll)
-    sp, cp = math.sin(pitch), math.cos(pitch)
+def write_kinematics(M: FloatArray, at: int, a: Trig) -> None:
+    """M[at] <- E = d(roll, pitch, yaw) / d theta_b."""
+    sr, cr, sp, cp, _, _ = a
     sec = 1.0 / max(cp, LEAST_COS)
-    E[0, 0] = 1.0
-    E[0, 1] = sr * sp * sec
-    E[0, 2] = cr * sp * sec
-    E[1, 0] = 0.0
-    E[1, 1] = cr
-    E[1, 2] = -sr
-    E[2, 0] = 0.0
-    E[2, 1] = sr * sec
-    E[2, 2] = cr * sec
-    E_inv[0, 0] = 1.0
-    E_inv[0, 1] = 0.0
-    E_inv[0, 2] = -sp
-    E_inv[1, 0] = 0.0
-    E_inv[1, 1] = cr
-    E_inv[1, 2] = sr * cp
-    E_inv[2, 0] = 0.0
-    E_inv[2, 1] = -sr
-    E_inv[2, 2] = cr * cp
+    M[at, 0, 0] = 1.0
+    M[at, 0, 1] = sr * sp * sec
+    M[at, 0, 2] = cr * sp * sec
+    M[at, 1, 0] = 0.0
+    M[at, 1, 1] = cr
+    M[at, 1, 2] = -sr
+    M[at, 2, 0] = 0.0
+    M[at, 2, 1] = sr * sec
+    M[at, 2, 2] = cr * sec
 
 
 @kernel
-def write_force_dynamics(B: FloatArray, C: FloatArray, f: Vector) -> None:
-    """B <- d(C_nb f_b) / d theta_b = -C_nb [f_b]x (3, 3), in m/s^2."""
+def write_inverse_kinematics(M: FloatArray, at: int, a: Trig) -> None:
+    """M[at] <- E^-1 = d theta_b / d(roll, pitch, yaw)."""
+    sr, cr, sp, cp, _, _ = a
+    M[at, 0, 0] = 1.0
+    M[at, 0, 1] = 0.0
+    M[at, 0, 2] = -sp
+    M[at, 1, 0] = 0.0
+    M[at, 1, 1] = cr
+    M[at, 1, 2] = sr * cp
+    M[at, 2, 0] = 0.0
+    M[at, 2, 1] = -sr
+    M[at, 2, 2] = cr * cp
+
+
+@kernel
+def write_force_dynamics(M: FloatArray, at: int, f: Vector) -> None:
+    """M[at] <- d(C_nb f_b) / d theta_b = -C_nb [f_b]x, in m/s^2, with C in its place in the stack."""
     for i in range(3):
-        B[i, 0] = C[i, 2] * f[1] - C[i, 1] * f[2]
-        B[i, 1] = C[i, 0] * f[2] - C[i, 2] * f[0]
-        B[i, 2] = C[i, 1] * f[0] - C[i, 0] * f[1]
+        M[at, i, 0] = M[C, i, 2] * f[1] - M[C, i, 1] * f[2]
+        M[at, i, 1] = M[C, i, 0] * f[2] - M[C, i, 2] * f[0]
+        M[at, i, 2] = M[C, i, 1] * f[0] - M[C, i, 0] * f[1]
 
 
 @kernel
-def dynamics() -> Dynamics:
-    """Room for the dynamics of the errors."""
-    return (
-        np.empty((3, 3)),
-        np.empty((3, 3, 3)),
-        np.empty((3, 3)),
-        np.empty((3, 3)),
-        np.empty((4, 3, 3)),
-    )
-
-
-@kernel
-def linearize(
-    F: Dynamics, start: Vector, at: Vector, end: Vector, w: Vector, f: Vector
-) -> None:
-    """Fill F: the error dynamics at the angles `at`, rate w and specific force f of an interval.
+def linearize(M: FloatArray, start: Trig, at: Trig, end: Trig, w: Vector, f: Vector) -> None:
+    """Fill a stack with the error dynamics at the angles `at`, rate w and specific force f of an interval.
 
     They are those of the angles, in the coordinates theta = E^-1 d(roll, pitch, yaw) with E taken at `at`: there
-    A = E^-1 M E, and gyro noise and bias enter alike on all axes. S and D[2] lead from theta_b at the start of the
-    interval into them, and from them to theta_b at its end.
+    A = E^-1 d(E w)/d(angles) E, and the gyro's noise and bias are on the body's axes. BEFORE leads from theta_b at the
+    start of the interval into them, AFTER from them to theta_b at its end.
     """
-    A, D, C, S, scratch = F
-    E, E_inv, other, unused = scratch[0], scratch[1], scratch[2], scratch[3]
-    write_dcm(C, at)
-    write_force_dynamics(D[0], C, f)
-    write_force_dynamics(D[1], C, f)
-    write_kinematics(other, unused, start[0], start[1])
-    write_kinematics(E, E_inv, at[0], at[1])
-    multiply(S, E_inv, other)
-    write_angle_dynamics(A, at[0], at[1], w)
-    multiply(other, A, E)
-    multiply(A, E_inv, other)
-    write_kinematics(unused, other, end[0], end[1])
-    multiply(D[2], other, E)
+    write_dcm(M, C, at)
+    write_force_dynamics(M, B, f)
+    write_inverse_kinematics(M, E_INV, at)
+    write_kinematics(M, E, start)
+    multiply(M, BEFORE, E_INV, E)
+    write_kinematics(M, E, at)
+    write_angle_dynamics(M, AFTER, at, w)
+    multiply(M, SPARE, AFTER, E)
+    multiply(M, A, E_INV, SPARE)
+    write_inverse_kinematics(M, E_INV, end)
+    multiply(M, AFTER, E_INV, E)
