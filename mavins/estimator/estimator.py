@@ -258,7 +258,10 @@ class Estimator:
         gnss_us = max(track.accepted_us[0], track.accepted_us[1])
         silent = (now_us - gnss_us) * 1e-6
         lately = [t for t in track.reset_times_us if now_us - t < DIVERGE_WITHIN_US]
-        if len(lately) >= RESETS_TO_DIVERGE:
+        # looked at here, not after every call: it must not depend on how many rows a call brought
+        if complaint := self.filter.complaint(state):
+            self._lost(complaint, Health.DIVERGED)
+        elif len(lately) >= RESETS_TO_DIVERGE:
             self._lost(f"{len(lately)} resets within a minute", Health.DIVERGED)
         elif (
             math.sqrt(max(state.P[0, 0], state.P[1, 1]))
@@ -278,8 +281,6 @@ class Estimator:
             return
         if not is_sane(state.x, state.P):
             self._lost("the estimate is not finite", Health.DIVERGED)
-        elif complaint := self.filter.complaint(state):
-            self._lost(complaint, Health.DIVERGED)
 
     def _lost(self, reason: str, health: Health) -> None:
         """Give the samples and the estimate up and begin anew; the origin stays."""
@@ -325,10 +326,14 @@ class Estimator:
             candidate, self.frame, self.filter.layout.size, self.heading_sigma
         )
         reading = self._line.buffer.reading_at(candidate.t_us)
+        state = FilterState(x, P, reading, candidate.t_us)
+        if complaint := self.filter.complaint(state):
+            self.reason = complaint
+            return
         self.health = Health.RUNNING
         self.reason = ""
         self._line.begin(
-            FilterState(x, P, reading, candidate.t_us),
+            state,
             self.frame,
             Track(accepted_us=(candidate.t_us,) * 3),
         )
