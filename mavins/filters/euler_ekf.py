@@ -1,7 +1,7 @@
 """The direct extended Kalman filter over roll, pitch and yaw: the angles are states, and corrections are added to them.
 
 15 states: p_n, v_n, (roll, pitch, yaw), b_g, b_a. Between calls the state is the common one: an attitude quaternion and
-canonical errors, to which theta_b = E^-1 d(roll, pitch, yaw) leads exactly. Source: Barton (2012), over a flat Earth.
+canonical errors, to which theta_b = E^-1 d(roll, pitch, yaw) leads exactly. Source: Barton (2012).
 Theory: docs/theory/euler_ekf.md.
 """
 
@@ -19,8 +19,10 @@ from mavins.filters.euler_model import (
     LEAST_COS,
     SINGULAR,
     acceleration,
+    apparent_gravity,
     integrate_angles,
     is_singular,
+    less_earth_rate,
     linearize,
     middle,
     move,
@@ -39,7 +41,7 @@ from mavins.filters.walking import (
     reading_at,
     reading_within,
 )
-from mavins.nav.earth import TangentFrame, gravity_at
+from mavins.nav.earth import TangentFrame
 from mavins.nav.ins import Vector
 from mavins.nav.kernels import kernel
 from mavins.nav.layout import Layout
@@ -73,18 +75,21 @@ def advance(
     noise: van_loan.Noise,
     r0_e: FloatArray,
     C_ne: FloatArray,
+    w_ie_n: FloatArray,
     work: van_loan.Workspace,
 ) -> Vector:
     """Move p_n, v_n and P, in place, over h between two readings joined by a line; returns the angles after it."""
     M = work[0]
-    g = gravity_at(x[0] + 0.5 * h * x[3], x[1] + 0.5 * h * x[4], x[2] + 0.5 * h * x[5], r0_e, C_ne)
-    f = middle(f0, f1)
-    at, end = integrate_angles(angles, w0, w1, h)
-    before, after = trig(angles), trig(end)
+    before = trig(angles)
     write_dcm(M, C, before)
+    w0, w1 = less_earth_rate(M, w0, w_ie_n), less_earth_rate(M, w1, w_ie_n)
+    g = apparent_gravity(x, h, r0_e, C_ne, w_ie_n)
     a0 = acceleration(M, f0, g)
+    at, end = integrate_angles(angles, w0, w1, h)
+    after = trig(end)
     write_dcm(M, C, after)
     a1 = acceleration(M, f1, g)
+    f = middle(f0, f1)
     linearize(M, before, trig(at), after, middle(w0, w1), f)
     move(x, a0, acceleration(M, f, g), a1, h)
     van_loan.predict(P, h, noise, work)
@@ -102,6 +107,7 @@ def step(
     compat: bool,
     r0_e: FloatArray,
     C_ne: FloatArray,
+    w_ie_n: FloatArray,
     work: van_loan.Workspace,
 ) -> None:
     """Move x and P, in place, from the reading `u` to the reading `row` (6,) that follows it by dt_us; u <- row.
@@ -127,7 +133,7 @@ def step(
             w0, f0 = reading_within(x, u, row, 0.0, dt_us)
             for i in range(pieces):
                 w1, f1 = reading_within(x, u, row, (i + 1.0) / pieces, dt_us)
-                angles = advance(x, P, angles, w0, f0, w1, f1, h, psd, r0_e, C_ne, work)
+                angles = advance(x, P, angles, w0, f0, w1, f1, h, psd, r0_e, C_ne, w_ie_n, work)
                 if is_singular(angles[1]):
                     break
                 w0, f0 = w1, f1
@@ -177,6 +183,7 @@ def walk_rows(
     compat: bool,
     r0_e: FloatArray,
     C_ne: FloatArray,
+    w_ie_n: FloatArray,
     until_us: int,
     previous_us: int,
     grid_us: int,
@@ -194,9 +201,9 @@ def walk_rows(
         if t_us[k] > until_us:
             if until_us > t:
                 reading = reading_at(u, imu[k], (until_us - t) / (t_us[k] - t))
-                step(x, P, u, reading, until_us - t, noise, compat, r0_e, C_ne, work)
+                step(x, P, u, reading, until_us - t, noise, compat, r0_e, C_ne, w_ie_n, work)
             break
-        step(x, P, u, imu[k], t_us[k] - t, noise, compat, r0_e, C_ne, work)
+        step(x, P, u, imu[k], t_us[k] - t, noise, compat, r0_e, C_ne, w_ie_n, work)
         t = t_us[k]
         if is_due(t, before, grid_us):
             put_row(out_t, out_x, out_u, out_P, count, t, x, u, P)
@@ -285,6 +292,7 @@ class EulerEkf:
             self._compat,
             frame.r0_e,
             frame.C_ne,
+            frame.w_ie_n,
             until_us,
             previous_us,
             grid_us,

@@ -1,12 +1,12 @@
 """The Euler-angle model over a flat Earth: its mechanization, and the linearized dynamics of its errors.
 
-    (roll, pitch, yaw)' = E (w_b - b_g)
-    v_n' = C_nb (f_b - b_a) + g_n
+    (roll, pitch, yaw)' = E (w_b - b_g - C_bn w_ie_n)
+    v_n' = C_nb (f_b - b_a) + g_n - 2 w_ie_n x v_n
     p_n' = v_n
 
-E(roll, pitch) is the kinematic matrix of Z-Y-X angles (so3.euler_jacobian). The Earth neither turns nor curves; its
-gravity is the normal one at p_n. Source: Barton, "Fundamentals of small unmanned aircraft flight", Johns Hopkins APL
-Technical Digest 31 (2012). Theory: docs/theory/euler_ekf.md.
+E(roll, pitch) is the kinematic matrix of Z-Y-X angles (so3.euler_jacobian). The Earth's rotation is taken off as it is
+at the start of an interval, and is not in the dynamics of the errors; neither is the gradient of gravity. Source:
+Barton, "Fundamentals of small unmanned aircraft flight", Johns Hopkins APL Technical Digest 31 (2012). Theory: docs/theory/euler_ekf.md.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import math
 from typing import Final, TypeAlias
 
 from mavins.filters.van_loan import AFTER, BEFORE, E_INV, SPARE, A, B, C, E, multiply
+from mavins.nav.earth import gravity_at
 from mavins.nav.ins import Vector
 from mavins.nav.kernels import kernel
 from mavins.types import FloatArray
@@ -117,6 +118,30 @@ def acceleration(M: FloatArray, f: Vector, g: Vector) -> Vector:
         M[C, 0, 0] * f[0] + M[C, 0, 1] * f[1] + M[C, 0, 2] * f[2] + g[0],
         M[C, 1, 0] * f[0] + M[C, 1, 1] * f[1] + M[C, 1, 2] * f[2] + g[1],
         M[C, 2, 0] * f[0] + M[C, 2, 1] * f[1] + M[C, 2, 2] * f[2] + g[2],
+    )
+
+
+@kernel
+def less_earth_rate(M: FloatArray, w: Vector, w_ie_n: FloatArray) -> Vector:
+    """w_b - C_bn w_ie_n: the rate of b against n, with C_nb in its place in the stack."""
+    return (
+        w[0] - (M[C, 0, 0] * w_ie_n[0] + M[C, 1, 0] * w_ie_n[1] + M[C, 2, 0] * w_ie_n[2]),
+        w[1] - (M[C, 0, 1] * w_ie_n[0] + M[C, 1, 1] * w_ie_n[1] + M[C, 2, 1] * w_ie_n[2]),
+        w[2] - (M[C, 0, 2] * w_ie_n[0] + M[C, 1, 2] * w_ie_n[1] + M[C, 2, 2] * w_ie_n[2]),
+    )
+
+
+@kernel
+def apparent_gravity(
+    x: FloatArray, h: float, r0_e: FloatArray, C_ne: FloatArray, w_ie_n: FloatArray
+) -> Vector:
+    """g_n - 2 w_ie_n x v_n in m/s^2, where x has come to in the middle of an interval h at its speed."""
+    v0, v1, v2 = x[3], x[4], x[5]
+    g = gravity_at(x[0] + 0.5 * h * v0, x[1] + 0.5 * h * v1, x[2] + 0.5 * h * v2, r0_e, C_ne)
+    return (
+        g[0] - 2.0 * (w_ie_n[1] * v2 - w_ie_n[2] * v1),
+        g[1] - 2.0 * (w_ie_n[2] * v0 - w_ie_n[0] * v2),
+        g[2] - 2.0 * (w_ie_n[0] * v1 - w_ie_n[1] * v0),
     )
 
 
