@@ -6,7 +6,8 @@
 
 E(roll, pitch) is the kinematic matrix of Z-Y-X angles (so3.euler_jacobian). The Earth's rotation is taken off as it is
 at the start of an interval, and is not in the dynamics of the errors; neither is the gradient of gravity. Source:
-Barton, "Fundamentals of small unmanned aircraft flight", Johns Hopkins APL Technical Digest 31 (2012). Theory: docs/theory/euler_ekf.md.
+Barton, "Fundamentals of small unmanned aircraft flight", Johns Hopkins APL Technical Digest 31 (2012).
+Theory: docs/theory/euler_ekf.md.
 """
 
 from __future__ import annotations
