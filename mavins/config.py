@@ -20,7 +20,7 @@ from mavins.estimator.settings import Settings
 from mavins.mavlink.settings import SessionSettings, StreamSettings
 from mavins.mavlink.sources import SourceSettings
 
-FilterName = Literal["eskf", "iekf", "ieskf", "srcdkf"]
+FilterName = Literal["eskf", "euler_ekf", "iekf", "ieskf", "srcdkf"]
 
 _WIDTH = 100
 _MISSING = dataclasses.MISSING

@@ -78,7 +78,9 @@ class Estimator:
             settings.imu.gyro_bias_walk,
             settings.imu.accel_bias_walk,
         )
-        self.filter: Filter = make(filter_name, self._noise, settings.states.layout())
+        self.filter: Filter = make(
+            filter_name, self._noise, settings.states.layout(), settings.filters
+        )
         self._buffer_us = round(settings.estimator.buffer * 1e6)
         self._window_us = round(settings.alignment.window * 1e6)
         self._imu_delay_us = round(settings.imu.delay * 1e6)
@@ -279,7 +281,10 @@ class Estimator:
         gnss_us = max(track.accepted_us[0], track.accepted_us[1])
         silent = (now_us - gnss_us) * 1e-6
         lately = [t for t in track.reset_times_us if now_us - t < DIVERGE_WITHIN_US]
-        if len(lately) >= RESETS_TO_DIVERGE:
+        # looked at here, not after every call: it must not depend on how many rows a call brought
+        if complaint := self.filter.complaint(state):
+            self._lost(complaint, Health.DIVERGED)
+        elif len(lately) >= RESETS_TO_DIVERGE:
             self._lost(f"{len(lately)} resets within a minute", Health.DIVERGED)
         elif (
             math.sqrt(max(state.P[0, 0], state.P[1, 1]))
@@ -299,8 +304,6 @@ class Estimator:
             return
         if not is_sane(state.x, state.P):
             self._lost("the estimate is not finite", Health.DIVERGED)
-        elif complaint := self.filter.complaint(state):
-            self._lost(complaint, Health.DIVERGED)
 
     def _lost(self, reason: str, health: Health) -> None:
         """Give the samples and the estimate up and begin anew; the origin stays."""
@@ -345,10 +348,14 @@ class Estimator:
         x, P = self._aligner.start(candidate, self.frame, self.filter.layout, self.heading_sigma)
         self._first_delay = fix.delay
         reading = self._line.buffer.reading_at(candidate.t_us)
+        state = FilterState(x, P, reading, candidate.t_us)
+        if complaint := self.filter.complaint(state):
+            self.reason = complaint
+            return
         self.health = Health.RUNNING
         self.reason = ""
         self._line.begin(
-            FilterState(x, P, reading, candidate.t_us),
+            state,
             self.frame,
             Track(accepted_us=(candidate.t_us,) * 3),
         )

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 from annotated_types import Ge, Gt, Le
 
 from mavins.documented import Doc
+from mavins.filters.settings import FilterSettings
 from mavins.nav.layout import CORE, Layout
 
 Vector3 = tuple[float, float, float]
@@ -250,3 +251,4 @@ class Settings:
     states: StatesSettings = StatesSettings()
     alignment: AlignmentSettings = AlignmentSettings()
     estimator: EstimatorSettings = EstimatorSettings()
+    filters: FilterSettings = FilterSettings()

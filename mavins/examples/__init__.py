@@ -7,5 +7,10 @@ from __future__ import annotations
 
 from typing import Final
 
-REGISTRY: Final[dict[str, tuple[str, str]]] = {}
+REGISTRY: Final[dict[str, tuple[str, str]]] = {
+    "square-spiral": (
+        "mavins.examples.square_spiral",
+        "the Euler-angle filter matches its original, the manifold filters beat it",
+    ),
+}
 """Name -> (module, one line for the overview)."""

@@ -15,6 +15,7 @@ REGISTRY: Final = {
     "srcdkf": "mavins.filters.srcdkf:Srcdkf",
     "iekf": "mavins.filters.iekf:Iekf",
     "ieskf": "mavins.filters.ieskf:Ieskf",
+    "euler_ekf": "mavins.filters.euler_ekf:EulerEkf",
 }
 
 

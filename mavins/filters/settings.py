@@ -11,8 +11,18 @@ from mavins.documented import Doc
 
 
 @dataclass(frozen=True, slots=True)
+class EulerEkfSettings:
+    """The Euler-angle filter `euler_ekf`."""
+
+    compat: Annotated[
+        bool,
+        Doc("Step and noises of the published original, blemishes included, in place of our own."),
+    ] = False
+
+
+@dataclass(frozen=True, slots=True)
 class IteratedSettings:
-    """The iterated update of `ieskf`."""
+    """The iterated update of `ieskf` and `iekf`."""
 
     iterations: Annotated[
         int, Ge(1), Le(100), Doc("At most this many linearizations of a measurement.")
@@ -27,14 +37,18 @@ class IteratedSettings:
 
 @dataclass(frozen=True, slots=True)
 class SrcdkfSettings:
-    """Of the square-root central-difference filter: `full` takes its full second-order form, which is slower."""
+    """The square-root central-difference filter `srcdkf`."""
 
-    full: bool = False
+    full: Annotated[
+        bool,
+        Doc("The full second-order form, which is slower, in place of the structural one."),
+    ] = False
 
 
 @dataclass(frozen=True, slots=True)
 class FilterSettings:
     """Settings of single filters."""
 
-    srcdkf: SrcdkfSettings = SrcdkfSettings()
+    euler_ekf: EulerEkfSettings = EulerEkfSettings()
     iterated: IteratedSettings = IteratedSettings()
+    srcdkf: SrcdkfSettings = SrcdkfSettings()

@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from mavins.aiding import REGISTRY, gnss_position, gnss_velocity, heading, zero_velocity
+from mavins.aiding import (
+    REGISTRY,
+    gnss_position,
+    gnss_velocity,
+    heading,
+    magnetometer,
+    zero_velocity,
+)
 from mavins.nav.earth import TangentFrame
 from mavins.nav.so3 import dcm_to_quat, euler_to_quat, quat_mul
 from mavins.types import GnssFix, HeadingFix, Origin
@@ -28,8 +35,8 @@ def state(yaw: float = 0.0) -> np.ndarray:
 
 
 def test_ranks_order_the_measurements_of_one_instant() -> None:
-    modules = (gnss_position, gnss_velocity, heading, zero_velocity)
-    assert [m.RANK for m in modules] == [0, 1, 2, 3]
+    modules = (gnss_position, gnss_velocity, heading, zero_velocity, magnetometer)
+    assert [m.RANK for m in modules] == [0, 1, 2, 3, 4]
     assert sorted(m.NAME for m in modules) == sorted(REGISTRY)
 
 
@@ -105,3 +112,14 @@ def test_zero_velocity_is_in_n() -> None:
     assert_allclose(r, [-0.1, 0.2, -0.3])
     assert_allclose(H[:, 3:6], np.eye(3))
     assert np.count_nonzero(H) == 3
+
+
+def test_a_field_is_read_along_the_body_s_axes() -> None:
+    m = magnetometer.measure(
+        "mag", 7, 5, np.array([0.1, -0.4, 0.9]), np.array([0.4, 0.1, 0.9]), 0.02, 5.0
+    )
+    assert (m.stamp_us, m.t_us, m.source, m.gate) == (7, 5, "mag", 5.0)
+    assert_allclose(m.R, np.eye(3) * 4e-4)
+    # heading east, north is to the left
+    r, _ = m.model(state(math.pi / 2), U, m.z, m.parameters)
+    assert_allclose(r, 0.0, atol=1e-12)
