@@ -7,5 +7,10 @@ from __future__ import annotations
 
 from typing import Final
 
-REGISTRY: Final[dict[str, tuple[str, str]]] = {}
+REGISTRY: Final[dict[str, tuple[str, str]]] = {
+    "foot-mounted": (
+        "mavins.examples.foot_mounted",
+        "an IMU on a foot, zero velocity at each step (article 002)",
+    ),
+}
 """Name -> (module, one line for the overview)."""
