@@ -9,6 +9,7 @@ REGISTRY: Final = {
     "gnss_velocity": "mavins.aiding.gnss_velocity:model",
     "heading": "mavins.aiding.heading:model",
     "zero_velocity": "mavins.aiding.zero_velocity:model",
+    "zero_rate": "mavins.aiding.zero_rate:model",
 }
 
 __all__ = ["REGISTRY", "Measurement", "Model"]

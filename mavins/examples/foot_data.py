@@ -32,8 +32,11 @@ def read_openshoe(path: Path) -> Recording:
     The stamps are taken by the host and jitter by up to 20 ms, but no sample is missing: the times lie on the line
     through the stamps over the samples' numbers.
     """
-    with lzma.open(path, "rt") as file:
-        split = [line.split() for line in file]
+    try:
+        with lzma.open(path, "rt") as file:
+            split = [line.split() for line in file]
+    except (lzma.LZMAError, EOFError, UnicodeDecodeError) as error:
+        raise LogFormatError(f"{path}: {error}") from None
     wanted = [parts for parts in split if len(parts) == _FIELDS and parts[0] == "0xcb"]
     if len(wanted) < 2:
         raise LogFormatError(f"{path}: no samples of 17 fields that begin with 0xcb")

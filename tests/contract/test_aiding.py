@@ -42,6 +42,7 @@ PARAMETERS: dict[str, Callable[[FloatArray], FloatArray]] = {
         [level_turn().ravel(), gravity_n(x[:3], FRAME.r0_e, FRAME.C_ne)]
     ),
     "heading": lambda x: np.concatenate([FRAME.r0_e, FRAME.C_ne.ravel()]),
+    "zero_rate": lambda x: FRAME.w_ie_n,
 }
 """What a model needs beside the state; a model that is not here needs nothing."""
 ROWS = {"gnss_velocity": (2, 3), "heading": (1,)}
