@@ -145,7 +145,7 @@ def test_rejections_are_counted_with_their_reasons(
     shared: Callable[[str], Path], tmp_path: Path
 ) -> None:
     # nothing is as accurate as this, so every fix in flight meets the quality gate or the innovation gate
-    config = settings_file(tmp_path, "gnss:\n  max_sigma_speed: 0.0211\n  gate: 0.05\n")
+    config = settings_file(tmp_path, "gnss:\n  max_sigma_speed: 0.0211\n  gate: 0.02\n")
     summary = replayed(None, shared(ARDUPILOT), tmp_path / "out", "--config", config).summary
     rejected = summary["aiding"]["gnss_position"]["rejected"]
     assert rejected
