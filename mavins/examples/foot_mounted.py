@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,8 +93,10 @@ def run(data: Path | None, out: Path | None, say: Callable[[str], None]) -> Sequ
         rms.append(horizontal_rms(track, truth))
         say(f"{_start_of_line(walk)}{raw:12.3f}{math.degrees(yaw):10.1f}{rms[-1]:8.3f}")
     say("")
-    if out is not None:
-        draw(out, walks, turned, say)
+    plot = None if out is None else pyplot(say)
+    if plot is not None and out is not None:
+        draw(plot, out / "openshoe.png", [(walk, walk.p_n[:, :2]) for walk in walks])
+        draw(plot, out / "vicon.png", turned)
     return [
         Figure(f"mean final error of {len(loops)} loops", float(np.mean(errors)), LOOP_LIMIT, "m"),
         Figure(f"mean RMS error of {len(trials)} trials", float(np.mean(rms)), TRIAL_LIMIT, "m"),
@@ -184,37 +186,24 @@ def _start_of_line(walk: Walk) -> str:
     return f"{walk.recording.name:<21}{seconds:6.1f}{walk.length:7.1f}{share:8.0f} %"
 
 
-def draw(
-    out: Path,
-    loops: Sequence[Walk],
-    trials: Sequence[tuple[Walk, FloatArray]],
-    say: Callable[[str], None],
-) -> None:
-    """A picture of the tracks of each set."""
-    plot = pyplot(say)
-    if plot is None:
-        return
-    out.mkdir(parents=True, exist_ok=True)
-    for name, count in (("openshoe", len(loops)), ("vicon", len(trials))):
-        columns = min(4, count)
-        figure, axes = plot.subplots(
-            -(-count // columns), columns, figsize=(4.0 * columns, 3.6 * -(-count // columns))
-        )
-        for axis in np.ravel(axes)[count:]:
-            axis.remove()
-        for i, axis in enumerate(np.ravel(axes)[:count]):
-            walk, track = (loops[i], loops[i].p_n[:, :2]) if name == "openshoe" else trials[i]
-            truth = walk.recording.truth
-            if truth is not None:
-                axis.plot(*(truth - truth[0]).T[::-1], "k", linewidth=0.8, label="truth")
-            axis.plot(*track.T[::-1], linewidth=0.8, label="estimate")
-            axis.plot(*track[[0, -1]].T[::-1], "o", markersize=4, label="start and end")
-            axis.set_title(walk.recording.name)
-            axis.set_aspect("equal", adjustable="datalim")
-            axis.set_xlabel("right m")
-            axis.set_ylabel("forward m")
-        axes.flat[0].legend() if count > 1 else axes.legend()
-        figure.tight_layout()
-        figure.savefig(out / f"{name}.png", dpi=110)
-        plot.close(figure)
-        say(f"{out / name}.png")
+def draw(plot: Any, path: Path, tracks: Sequence[tuple[Walk, FloatArray]]) -> None:
+    """A picture of the tracks (N, 2) of a set, beside the true ones where they are known."""
+    columns = min(4, len(tracks))
+    rows = -(-len(tracks) // columns)
+    figure, axes = plot.subplots(
+        rows, columns, squeeze=False, figsize=(4.0 * columns, 3.6 * rows), layout="tight"
+    )
+    for axis in axes.flat[len(tracks) :]:
+        axis.remove()
+    for axis, (walk, track) in zip(axes.flat, tracks, strict=False):
+        truth = walk.recording.truth
+        if truth is not None:
+            axis.plot(*(truth - truth[0]).T[::-1], "k", linewidth=0.8, label="truth")
+        axis.plot(*track.T[::-1], linewidth=0.8, label="estimate")
+        axis.plot(*track[[0, -1]].T[::-1], "o", markersize=4, label="start and end")
+        axis.set(title=walk.recording.name, xlabel="right m", ylabel="forward m")
+        axis.set_aspect("equal", adjustable="datalim")
+    axes.flat[0].legend()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=110)
+    plot.close(figure)
