@@ -10,6 +10,7 @@ REGISTRY: Final = {
     "heading": "mavins.aiding.heading:model",
     "zero_velocity": "mavins.aiding.zero_velocity:model",
     "magnetometer": "mavins.aiding.magnetometer:model",
+    "zero_rate": "mavins.aiding.zero_rate:model",
 }
 
 __all__ = ["REGISTRY", "Measurement", "Model"]

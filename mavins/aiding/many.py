@@ -4,7 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from mavins.aiding import gnss_position, gnss_velocity, heading, magnetometer, zero_velocity
+from mavins.aiding import (
+    gnss_position,
+    gnss_velocity,
+    heading,
+    magnetometer,
+    zero_rate,
+    zero_velocity,
+)
 from mavins.nav.kernels import kernel
 from mavins.types import FloatArray
 
@@ -26,6 +33,8 @@ def residuals(
             out[k] = zero_velocity.model(X[k], u, z, parameters)[0]
         elif rank == magnetometer.RANK:
             out[k] = magnetometer.model(X[k], u, z, parameters)[0]
+        elif rank == zero_rate.RANK:
+            out[k] = zero_rate.model(X[k], u, z, parameters)[0]
         else:
             out[k] = np.nan
     return out

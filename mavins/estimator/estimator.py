@@ -14,7 +14,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mavins.aiding import Measurement, gnss_position, gnss_velocity, heading, zero_velocity
+from mavins.aiding import (
+    Measurement,
+    gnss_position,
+    gnss_velocity,
+    heading,
+    zero_rate,
+    zero_velocity,
+)
+from mavins.aiding.detectors import gnss_speed
 from mavins.estimator.aligner import Aligner, Candidate
 from mavins.estimator.fusion import Event, Fusion, Track
 from mavins.estimator.gate import gate_threshold
@@ -164,8 +172,9 @@ class Estimator:
         """Take a GNSS fix."""
         t_us, delay = self._valid_time(fix)
         quality = objection(fix, self.settings.gnss)
-        if not quality and fix.v_l is not None and not math.isnan(fix.v_l[0]):
-            self._aligner.standing.see_speed(math.hypot(fix.v_l[0], fix.v_l[1]))
+        speed = gnss_speed(fix)
+        if not quality and not math.isnan(speed):
+            self._aligner.standing.see_speed(speed)
         if not self.running or self.frame is None:
             self._aligner.see_fix(fix, t_us)
             return
@@ -264,14 +273,15 @@ class Estimator:
         self._decide(self._line.prune(now_us, self._window_us))
 
     def _zero_velocity(self, now_us: int) -> None:
-        settings = self.settings.zero_velocity
-        if settings.enabled and self._aligner.standing.standing:
-            # valid a window ago: the samples since then have confirmed that nothing moved
-            self._take(
-                zero_velocity.measure(
-                    now_us, now_us - HALF_WINDOW_US, settings.sigma, settings.gate
-                )
-            )
+        settings, standing = self.settings.zero_velocity, self._aligner.standing
+        if not settings.enabled or not standing.standing or self.frame is None:
+            return
+        # valid a window ago: the samples since then have confirmed that nothing moved
+        t_us, gate = now_us - HALF_WINDOW_US, settings.gate
+        self._take(zero_velocity.measure(now_us, t_us, settings.sigma, gate))
+        self._take(
+            zero_rate.measure(now_us, t_us, standing.gyro_b, self.frame, settings.rate_sigma, gate)
+        )
 
     def _judge_health(self, now_us: int) -> None:
         state = self._line.state

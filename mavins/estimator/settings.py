@@ -150,12 +150,18 @@ class HeadingSettings:
 
 @dataclass(frozen=True, slots=True)
 class ZeroVelocitySettings:
-    """Zero velocity while the vehicle stands before its first motion."""
+    """Zero velocity and zero rate while the vehicle stands before its first motion."""
 
     enabled: Annotated[bool, Doc("Use it.")] = True
     sigma: Annotated[
         float, Gt(0), Le(10), Doc("Noise of the pseudo-measurement, 1-sigma.", "m/s")
     ] = 0.1
+    rate_sigma: Annotated[
+        float,
+        Gt(0),
+        Le(10),
+        Doc("Noise of the mean rate over 0.25 s while standing, 1-sigma.", "rad/s"),
+    ] = 0.003
     gate: Annotated[float, Gt(0), Le(100), Doc("Innovation gate, in sigmas of one dimension.")] = (
         5.0
     )

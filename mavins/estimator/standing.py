@@ -42,6 +42,8 @@ class StandingDetector:
         self._reference: FloatArray | None = None
         self._quiet_ticks = 0
         self._speed = 0.0
+        self.gyro_b = np.zeros(3)
+        """The mean gyro reading of the earlier of both windows at the last look."""
 
     @property
     def quiet(self) -> bool:
@@ -68,6 +70,7 @@ class StandingDetector:
             return
         before = mean_rows(buffer.readings(start, middle))
         after = mean_rows(buffer.readings(middle, buffer.end))
+        self.gyro_b = before[:3]
         if self._reference is None:
             self._reference = before
         s = self._settings

@@ -44,6 +44,7 @@ PARAMETERS: dict[str, Callable[[FloatArray], FloatArray]] = {
     "gnss_position": lambda x: x[19:20],
     "heading": lambda x: np.concatenate([FRAME.r0_e, FRAME.C_ne.ravel()]),
     "magnetometer": lambda x: np.array([0.4, -0.1, 0.9]),
+    "zero_rate": lambda x: FRAME.w_ie_n,
 }
 """What a model needs beside the state; a model that is not here needs nothing."""
 ROWS = {"gnss_velocity": (2, 3), "heading": (1,)}

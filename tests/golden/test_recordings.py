@@ -120,7 +120,13 @@ def test_summary_says_what_was_seen_used_and_rejected(px4: Result) -> None:
 
 def test_summary_judges_the_noise_that_was_assumed(px4: Result) -> None:
     aiding = px4.summary["aiding"]
-    assert set(aiding) == {"gnss_position", "gnss_velocity", "heading", "zero_velocity"}
+    assert set(aiding) == {
+        "gnss_position",
+        "gnss_velocity",
+        "heading",
+        "zero_velocity",
+        "zero_rate",
+    }
     for name, one in aiding.items():
         assert one["accepted"] > 100, name
         assert isinstance(one["rejected"], dict), name

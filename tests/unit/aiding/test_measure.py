@@ -14,10 +14,11 @@ from mavins.aiding import (
     gnss_velocity,
     heading,
     magnetometer,
+    zero_rate,
     zero_velocity,
 )
 from mavins.nav.earth import TangentFrame
-from mavins.nav.so3 import dcm_to_quat, euler_to_quat, quat_mul
+from mavins.nav.so3 import dcm_to_quat, euler_to_quat, quat_mul, quat_to_dcm
 from mavins.types import GnssFix, HeadingFix, Origin
 
 FRAME = TangentFrame.at(Origin(0.8, 0.15, 500.0))
@@ -35,8 +36,8 @@ def state(yaw: float = 0.0) -> np.ndarray:
 
 
 def test_ranks_order_the_measurements_of_one_instant() -> None:
-    modules = (gnss_position, gnss_velocity, heading, zero_velocity, magnetometer)
-    assert [m.RANK for m in modules] == [0, 1, 2, 3, 4]
+    modules = (gnss_position, gnss_velocity, heading, zero_velocity, magnetometer, zero_rate)
+    assert [m.RANK for m in modules] == list(range(len(modules)))
     assert sorted(m.NAME for m in modules) == sorted(REGISTRY)
 
 
@@ -123,3 +124,16 @@ def test_a_field_is_read_along_the_body_s_axes() -> None:
     # heading east, north is to the left
     r, _ = m.model(state(math.pi / 2), U, m.z, m.parameters)
     assert_allclose(r, 0.0, atol=1e-12)
+
+
+def test_zero_rate_leaves_the_bias_of_a_gyro_that_sees_the_earth_turn() -> None:
+    x = state(0.7)
+    x[10:13] = [0.01, -0.02, 0.03]
+    reading = x[10:13] + quat_to_dcm(x[6:10]).T @ FRAME.w_ie_n
+    m = zero_rate.measure(2_000_000, 1_750_000, reading, FRAME, 0.02, 5.0)
+    assert (m.stamp_us, m.t_us) == (2_000_000, 1_750_000)
+    r, H = m.model(x, U, m.z, m.parameters)
+    assert_allclose(r, 0.0, atol=1e-15)
+    assert_allclose(H[:, 9:12], np.eye(3))
+    # the reading of this instant has no part in it
+    assert_allclose(m.model(x, 2.0 * U, m.z, m.parameters)[0], r)

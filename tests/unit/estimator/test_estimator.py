@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from mavins.estimator.estimator import Estimator
-from mavins.estimator.settings import ImuSettings, Settings
+from mavins.estimator.settings import ImuSettings, Settings, ZeroVelocitySettings
 from mavins.nav.earth import TangentFrame
 from mavins.nav.so3 import euler_to_quat, quat_to_dcm
 from mavins.types import GnssFix, HeadingFix, Health, ImuTable, NavSolution, Origin
@@ -31,6 +31,7 @@ class Vehicle:
         self.t_us = 1_000_000
         self.rng = np.random.default_rng(3)
         self.p_n = np.zeros(3)
+        self.gyro_bias = np.zeros(3)
 
     def go(self, seconds: float, *, fixes: bool = True, headings: bool = True, **fix: Any) -> None:
         C = quat_to_dcm(euler_to_quat(*ATTITUDE))
@@ -38,7 +39,7 @@ class Vehicle:
         for _ in range(round(seconds * 100)):
             self.t_us += 10_000
             accel = f_b + self.rng.normal(size=3) * 0.05
-            gyro = self.rng.normal(size=3) * 0.005
+            gyro = self.gyro_bias + self.rng.normal(size=3) * 0.005
             table = ImuTable(np.array([self.t_us]), accel[np.newaxis], gyro[np.newaxis])
             self.estimator.feed_imu(table)
             if headings and self.t_us % 100_000 == 0:
@@ -206,8 +207,23 @@ def test_a_turned_imu_is_turned_back() -> None:
     assert_allclose([s.roll, s.pitch, s.yaw], ATTITUDE, atol=0.02)
 
 
+@pytest.mark.parametrize("used", [True, False])
+def test_standing_teaches_the_gyro_bias(used: bool) -> None:
+    v = Vehicle(Settings(zero_velocity=ZeroVelocitySettings(enabled=used)))
+    v.go(6.0)
+    v.gyro_bias = np.array([0.0, 0.0, 0.01])
+    v.go(8.0, headings=False)
+    # gravity does not show what turns about the vertical
+    assert (np.linalg.norm(v.solution.b_g - v.gyro_bias) < 5e-3) == used
+    v.estimator.finish()
+    assert ("zero_rate" in v.estimator.statistics) == used
+    if used:
+        assert v.estimator.statistics["zero_rate"].accepted > 20
+
+
 def test_yaw_without_heading_grows_uncertain_and_says_so() -> None:
-    v = Vehicle()
+    # as in a steady hover: on the ground zero rate holds the yaw
+    v = Vehicle(Settings(zero_velocity=ZeroVelocitySettings(enabled=False)))
     v.go(6.0)
     v.go(60.0, headings=False)
     assert v.estimator.health is Health.RUNNING
