@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -17,8 +17,10 @@ from mavins.errors import LogFormatError
 from mavins.estimator.estimator import Estimator, Outputs
 from mavins.estimator.solution import EULER, LLA, V_L
 from mavins.evaluation.errors import errors_against
+from mavins.logs.csv_feed import feed_folder
+from mavins.logs.csv_folder import read_csv_folder
 from mavins.logs.tlog import read_tlog
-from mavins.logs.truth import truth_of
+from mavins.logs.truth import TruthTable, truth_of
 from mavins.mavlink.codec import IMU_KINDS, Frames, OriginRequest, decode, fields_of
 from mavins.mavlink.intake import RELEVANT, Intake
 from mavins.mavlink.session import sysid_for
@@ -68,13 +70,12 @@ def replay(
     options: ReplayOptions,
     progress: Callable[[float], None] = lambda _: None,
 ) -> dict[str, Any]:
-    """Run a log through the estimator, write the result folder, return the summary.
+    """Run a telemetry log or a folder of CSV files through the estimator, write the result folder, return the summary.
 
     Raises LogFormatError for what is not a log with an IMU, OutputError where `out` cannot be written.
     """
     wall, cpu = time.perf_counter(), time.process_time()
-    frames = read_tlog(log)
-    sysid = vehicle_of(frames, options.sysid)
+    source = FolderSource(log, config) if log.is_dir() else TlogSource(log, config, options.sysid)
     bounds = (
         round((options.start or 0.0) * 1e6),
         2**62 if options.end is None else round(options.end * 1e6),
@@ -84,22 +85,12 @@ def replay(
         writer.bounds_us = bounds
         outputs = Outputs(grid_us(options.rate), writer.write_rows, writer.write_decision)
         estimator = Estimator(config, config.filter, outputs)
-        intake = Intake(estimator, config.sources)
-        _feed(intake, frames, sysid, our_sysid(frames, sysid, config.mavlink), progress)
+        seen = source.feed(estimator, progress)
         estimator.finish()
-    if intake.imu.chosen is None:
-        raise LogFormatError(f"the log has no usable IMU messages of vehicle {sysid}")
     write_text(folder / "config.yaml", to_yaml(config))
     t_us, rows = writer.table()
-    summary = summarize(estimator, intake)
-    summary = {
-        "mavins": __version__,
-        "log": str(log),
-        "filter": config.filter,
-        "sysid": sysid,
-        **summary,
-    }
-    truth = truth_of(frames, sysid)
+    summary = {"mavins": __version__, "log": str(log), "filter": config.filter, **seen}
+    truth = source.truth
     if truth is not None and len(truth) > 1 and len(t_us):
         table = (
             truth.t_us,
@@ -109,18 +100,74 @@ def replay(
         )
         judged = errors_against(t_us, rows[:, LLA], rows[:, V_L], rows[:, EULER], table)
         summary["truth"] = {"source": truth.source, **judged.summary()}
-    covered = (int(frames.t_us[-1]) - int(frames.t_us[0])) * 1e-6
-    summary["log_s"] = covered
+    summary["log_s"] = source.seconds
     summary["rows"] = writer.rows
-    summary["damage"] = {
-        name: getattr(frames.damage, name)
-        for name in ("bad_crc", "unknown", "skipped_bytes", "truncated")
-    }
+    summary["damage"] = source.damage
     summary["wall_s"] = time.perf_counter() - wall
     summary["cpu_s"] = time.process_time() - cpu
-    summary["times_real_time"] = covered / summary["cpu_s"]
+    summary["times_real_time"] = source.seconds / summary["cpu_s"]
     write_json(out / "summary.json", summary)
     return summary
+
+
+class Source(Protocol):
+    """A log of any kind. `seconds` is its length, `damage` what could not be read; `truth` is for evaluation only."""
+
+    seconds: float
+    damage: dict[str, int]
+    truth: TruthTable | None
+
+    def feed(self, estimator: Estimator, progress: Callable[[float], None]) -> dict[str, Any]:
+        """All of the log into an estimator; returns what the summary says about it."""
+
+
+class TlogSource:
+    """One vehicle of a telemetry log."""
+
+    def __init__(self, log: Path, config: Config, sysid: int | None) -> None:
+        self._frames = frames = read_tlog(log)
+        self._sysid = vehicle_of(frames, sysid)
+        self._config = config
+        self.seconds = (int(frames.t_us[-1]) - int(frames.t_us[0])) * 1e-6
+        self.damage = {
+            name: getattr(frames.damage, name)
+            for name in ("bad_crc", "unknown", "skipped_bytes", "truncated")
+        }
+        self.truth = truth_of(frames, self._sysid)
+
+    def feed(self, estimator: Estimator, progress: Callable[[float], None]) -> dict[str, Any]:
+        """The vehicle's packets through an intake."""
+        sysid, config = self._sysid, self._config
+        intake = Intake(estimator, config.sources)
+        our = our_sysid(self._frames, sysid, config.mavlink)
+        _feed(intake, self._frames, sysid, our, progress)
+        if intake.imu.chosen is None:
+            raise LogFormatError(f"the log has no usable IMU messages of vehicle {sysid}")
+        return {"sysid": sysid, **summarize(estimator, intake)}
+
+
+class FolderSource:
+    """A folder of CSV files."""
+
+    def __init__(self, log: Path, config: Config) -> None:
+        self._folder = read_csv_folder(log)
+        self._config = config
+        self.seconds = self._folder.seconds
+        self.damage: dict[str, int] = {}
+        self.truth = self._folder.truth
+
+    def feed(self, estimator: Estimator, progress: Callable[[float], None]) -> dict[str, Any]:
+        """All tables, merged by their stamps."""
+        folder = self._folder
+        feed_folder(folder, estimator, self._config, progress)
+        counts = folder.counts
+        return {
+            "imu": {"message": "imu.csv", "id": 0},
+            "messages": counts,
+            "rates_hz": {name: n / max(self.seconds, 1e-6) for name, n in counts.items()},
+            "dropped": {k: v for k, v in (folder.dropped + estimator.dropped).items() if v},
+            **outcome_of(estimator),
+        }
 
 
 def our_sysid(frames: Frames, sysid: int, settings: SessionSettings) -> int:
@@ -166,11 +213,18 @@ def summarize(estimator: Estimator, intake: Intake) -> dict[str, Any]:
         "messages": dict(intake.counts),
         "rates_hz": intake.rates(),
         "dropped": {k: v for k, v in (intake.dropped + estimator.dropped).items() if v},
+        "reboots": intake.reboots,
+        **outcome_of(estimator),
+    }
+
+
+def outcome_of(estimator: Estimator) -> dict[str, Any]:
+    """What an estimator decided: aidings with their innovation statistics, health, resets."""
+    return {
         "imu_samples": estimator.imu_rows,
         "aiding": {name: s.summary() for name, s in estimator.statistics.items()},
         "health": estimator.health.name.lower(),
         "reason": estimator.reason,
-        "reboots": intake.reboots,
         "resets": estimator.reset_counter,
         "realignments": estimator.realignments,
     }
