@@ -17,7 +17,7 @@ from mavins.errors import LogFormatError
 from mavins.estimator.estimator import Estimator, Outputs
 from mavins.estimator.solution import EULER, LLA, V_L
 from mavins.evaluation.errors import errors_against
-from mavins.logs.csv_feed import feed_folder
+from mavins.logs.csv_feed import feed_folder, settled
 from mavins.logs.csv_folder import read_csv_folder
 from mavins.logs.tlog import read_tlog
 from mavins.logs.truth import TruthTable, truth_of
@@ -76,6 +76,7 @@ def replay(
     """
     wall, cpu = time.perf_counter(), time.process_time()
     source = FolderSource(log, config) if log.is_dir() else TlogSource(log, config, options.sysid)
+    config = source.config
     bounds = (
         round((options.start or 0.0) * 1e6),
         2**62 if options.end is None else round(options.end * 1e6),
@@ -111,8 +112,13 @@ def replay(
 
 
 class Source(Protocol):
-    """A log of any kind. `seconds` is its length, `damage` what could not be read; `truth` is for evaluation only."""
+    """A log of any kind.
 
+    `config` is the configuration with what the log itself decides; `seconds` is the log's length, `damage` what could
+    not be read; `truth` is for evaluation only.
+    """
+
+    config: Config
     seconds: float
     damage: dict[str, int]
     truth: TruthTable | None
@@ -127,7 +133,7 @@ class TlogSource:
     def __init__(self, log: Path, config: Config, sysid: int | None) -> None:
         self._frames = frames = read_tlog(log)
         self._sysid = vehicle_of(frames, sysid)
-        self._config = config
+        self.config = config
         self.seconds = (int(frames.t_us[-1]) - int(frames.t_us[0])) * 1e-6
         self.damage = {
             name: getattr(frames.damage, name)
@@ -137,7 +143,7 @@ class TlogSource:
 
     def feed(self, estimator: Estimator, progress: Callable[[float], None]) -> dict[str, Any]:
         """The vehicle's packets through an intake."""
-        sysid, config = self._sysid, self._config
+        sysid, config = self._sysid, self.config
         intake = Intake(estimator, config.sources)
         our = our_sysid(self._frames, sysid, config.mavlink)
         _feed(intake, self._frames, sysid, our, progress)
@@ -151,7 +157,7 @@ class FolderSource:
 
     def __init__(self, log: Path, config: Config) -> None:
         self._folder = read_csv_folder(log)
-        self._config = config
+        self.config = settled(config, self._folder)
         self.seconds = self._folder.seconds
         self.damage: dict[str, int] = {}
         self.truth = self._folder.truth
@@ -159,7 +165,7 @@ class FolderSource:
     def feed(self, estimator: Estimator, progress: Callable[[float], None]) -> dict[str, Any]:
         """All tables, merged by their stamps."""
         folder = self._folder
-        feed_folder(folder, estimator, self._config, progress)
+        feed_folder(folder, estimator, self.config, progress)
         counts = folder.counts
         return {
             "imu": {"message": "imu.csv", "id": 0},

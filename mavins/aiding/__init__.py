@@ -9,6 +9,10 @@ REGISTRY: Final = {
     "gnss_velocity": "mavins.aiding.gnss_velocity:model",
     "heading": "mavins.aiding.heading:model",
     "zero_velocity": "mavins.aiding.zero_velocity:model",
+    "magnetometer": "mavins.aiding.magnetometer:model",
+    "baro": "mavins.aiding.baro:model",
+    "gravity_tilt": "mavins.aiding.gravity_tilt:model",
+    "nonholonomic": "mavins.aiding.nonholonomic:model",
 }
 
 __all__ = ["REGISTRY", "Measurement", "Model"]

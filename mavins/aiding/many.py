@@ -4,7 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from mavins.aiding import gnss_position, gnss_velocity, heading, zero_velocity
+from mavins.aiding import (
+    baro,
+    gnss_position,
+    gnss_velocity,
+    gravity_tilt,
+    heading,
+    magnetometer,
+    nonholonomic,
+    zero_velocity,
+)
 from mavins.nav.kernels import kernel
 from mavins.types import FloatArray
 
@@ -24,6 +33,14 @@ def residuals(
             out[k] = heading.model(X[k], u, z, parameters)[0]
         elif rank == zero_velocity.RANK:
             out[k] = zero_velocity.model(X[k], u, z, parameters)[0]
+        elif rank == magnetometer.RANK:
+            out[k] = magnetometer.model(X[k], u, z, parameters)[0]
+        elif rank == baro.RANK:
+            out[k] = baro.model(X[k], u, z, parameters)[0]
+        elif rank == gravity_tilt.RANK:
+            out[k] = gravity_tilt.model(X[k], u, z, parameters)[0]
+        elif rank == nonholonomic.RANK:
+            out[k] = nonholonomic.model(X[k], u, z, parameters)[0]
         else:
             out[k] = np.nan
     return out

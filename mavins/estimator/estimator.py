@@ -14,10 +14,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mavins.aiding import Measurement, gnss_position, gnss_velocity, heading, zero_velocity
+from mavins.aiding import (
+    Measurement,
+    baro,
+    gnss_position,
+    gnss_velocity,
+    heading,
+    magnetometer,
+    zero_velocity,
+)
 from mavins.estimator.aligner import Aligner, Candidate
+from mavins.estimator.barometer import Barometer
+from mavins.estimator.compass import Compass
 from mavins.estimator.fusion import Event, Fusion, Track
 from mavins.estimator.gate import gate_threshold
+from mavins.estimator.pseudo import gravity_tilt_at, nonholonomic_at
 from mavins.estimator.quality import noise_of, objection
 from mavins.estimator.settings import Settings
 from mavins.estimator.solution import solution_of
@@ -30,12 +41,14 @@ from mavins.nav.kernels import kernel
 from mavins.nav.linalg import is_sane
 from mavins.nav.so3 import dcm_to_quat, euler_to_quat, quat_to_dcm
 from mavins.types import (
+    BaroSample,
     FloatArray,
     GnssFix,
     HeadingFix,
     Health,
     ImuTable,
     IntArray,
+    MagSample,
     NavSolution,
     Origin,
 )
@@ -89,7 +102,9 @@ class Estimator:
         self.realignments = 0
         self.loss = ""
         self._resets_before = 0
-        self._aligner = Aligner(settings)
+        self._compass = Compass(settings.magnetometer)
+        self._barometer = Barometer(settings.baro)
+        self._aligner = Aligner(settings, self._compass)
         self._line = self._new_line()
         self.health = Health.WAITING
         self.reason = "waiting for IMU and GNSS"
@@ -159,11 +174,13 @@ class Estimator:
         quality = objection(fix, self.settings.gnss)
         if not quality and fix.v_l is not None and not math.isnan(fix.v_l[0]):
             self._aligner.standing.see_speed(math.hypot(fix.v_l[0], fix.v_l[1]))
+        settings = self.settings.gnss
+        noise = noise_of(fix, settings)
+        if not quality:
+            self._barometer.see_fix(t_us, fix.alt, noise.v)
         if not self.running or self.frame is None:
             self._aligner.see_fix(fix, t_us)
             return
-        settings = self.settings.gnss
-        noise = noise_of(fix, settings)
         self._take(
             gnss_position.measure(fix, t_us, self.frame, noise.h, noise.v, settings.gate, quality)
         )
@@ -183,6 +200,42 @@ class Estimator:
     def heading_sigma(self, fix: HeadingFix) -> float:
         """The 1-sigma noise (rad) taken for a heading."""
         return fix.sigma if fix.sigma is not None else math.radians(self.settings.heading.sigma_deg)
+
+    def feed_mag(self, sample: MagSample) -> None:
+        """Take a reading of a magnetometer."""
+        direction_b = self._compass.direction_b(sample)
+        if direction_b is None:
+            return
+        settings = self.settings.magnetometer
+        t_us = sample.t_us - round(settings.delay * 1e6)
+        if not self.running or self.frame is None:
+            self._aligner.see_field(direction_b, t_us)
+            return
+        reference_n = self._compass.reference_n(self.frame)
+        self._take(
+            magnetometer.measure(
+                sample.t_us,
+                t_us,
+                direction_b,
+                reference_n,
+                settings.sigma,
+                settings.gate,
+                sample.source,
+            )
+        )
+
+    def feed_baro(self, sample: BaroSample) -> None:
+        """Take a barometric altitude."""
+        level = self._barometer.altitude(sample)
+        if level is None or not self.running or self.frame is None:
+            return
+        settings = self.settings.baro
+        t_us = sample.t_us - round(settings.delay * 1e6)
+        self._take(
+            baro.measure(
+                sample.t_us, t_us, level[0], self.frame, level[1], settings.gate, sample.source
+            )
+        )
 
     def flush(self) -> None:
         """Hand over the output rows that are held."""
@@ -237,6 +290,7 @@ class Estimator:
             self._try_to_align(now_us)
         else:
             self._zero_velocity(now_us)
+            self._habits(now_us)
             self._judge_health(now_us)
         self._decide(self._line.prune(now_us, self._window_us))
 
@@ -249,6 +303,17 @@ class Estimator:
                     now_us, now_us - HALF_WINDOW_US, settings.sigma, settings.gate
                 )
             )
+
+    def _habits(self, now_us: int) -> None:
+        """What is known of the motion without a sensor for it, where it is switched on."""
+        frame, buffer = self.frame, self._line.buffer
+        assert frame is not None
+        for measurement in (
+            gravity_tilt_at(now_us, buffer, frame, self.settings.gravity_tilt),
+            nonholonomic_at(now_us, self.settings.nonholonomic),
+        ):
+            if measurement is not None and self.running:
+                self._take(measurement)
 
     def _judge_health(self, now_us: int) -> None:
         state = self._line.state
@@ -288,7 +353,7 @@ class Estimator:
         self.realignments += had_estimate
         self.loss = reason if had_estimate else self.loss
         self.finish()
-        self._aligner = Aligner(self.settings)
+        self._aligner = Aligner(self.settings, self._compass)
         self._line = self._new_line()
         self.health = health
         self.reason = reason
