@@ -11,7 +11,7 @@ import pytest
 from mavins.cli.replay import lines_of
 from mavins.config import Config, load
 from mavins.estimator.estimator import Estimator
-from mavins.logs.csv_feed import feed_folder
+from mavins.logs.csv_feed import feed_folder, settled
 from mavins.logs.csv_folder import read_csv_folder
 from mavins.replay import ReplayOptions, replay
 
@@ -101,3 +101,37 @@ def test_readings_come_in_the_order_of_their_stamps(tmp_path: Path) -> None:
     assert stamps == sorted(stamps)
     assert recorder.log[:3] == [("imu", 0), ("gnss", 0), ("heading", 0)]
     assert len(stamps) == 100 + 10 + 10
+
+
+@pytest.mark.jit
+def test_a_magnetometer_aligns_a_folder_without_headings_and_a_barometer_holds_the_height(
+    tmp_path: Path,
+) -> None:
+    log = standing(tmp_path / "flight")
+    (log / "heading.csv").unlink()
+    field_l = [0.5, 0.0, math.sqrt(0.75)]
+    field_b = [field_l[1], -field_l[0], field_l[2]]  # the nose points to the east
+    stamps = range(0, SECONDS * 1_000_000, 20_000)
+    mag = [f"{t},{','.join(str(600.0 * value) for value in field_b)}" for t in stamps]
+    (log / "mag.csv").write_text("\n".join(["t_us,mag_x,mag_y,mag_z", *mag]) + "\n")
+    baro = [f"{t},{8.0 + 0.1 * (k % 2)}" for k, t in enumerate(stamps)]
+    (log / "baro.csv").write_text("\n".join(["t_us,alt_m", *baro]) + "\n")
+    config = load(None, {"magnetometer": {"declination_deg": 0.0, "inclination_deg": 60.0}})
+    summary = replay(log, tmp_path / "out", config, ReplayOptions())
+    assert summary["health"] == "running"
+    assert max(summary["truth"]["max"]["att_deg"]) < 1.0
+    for name in ("magnetometer", "baro"):
+        aiding = summary["aiding"][name]
+        assert aiding["accepted"] > 5
+        assert aiding["rejected"] == {}
+    effective = (tmp_path / "out/eskf/config.yaml").read_text()
+    assert "enabled: auto" not in effective
+    assert "hard_iron: auto" not in effective
+
+
+def test_settings_are_settled_by_what_the_folder_holds(tmp_path: Path) -> None:
+    folder = read_csv_folder(standing(tmp_path, 2))
+    config = settled(load(), folder)
+    assert config.gnss.delay == 0.0
+    assert config.magnetometer.enabled is False  # there are headings, and no magnetometer
+    assert settled(load(None, {"gnss.delay": 0.2}), folder).gnss.delay == 0.2
