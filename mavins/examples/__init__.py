@@ -7,5 +7,7 @@ from __future__ import annotations
 
 from typing import Final
 
-REGISTRY: Final[dict[str, tuple[str, str]]] = {}
+REGISTRY: Final[dict[str, tuple[str, str]]] = {
+    "flights": ("mavins.examples.flights", "two real flights through every filter"),
+}
 """Name -> (module, one line for the overview)."""
