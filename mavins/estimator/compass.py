@@ -1,7 +1,7 @@
 """A magnetometer's readings made fit for the filter: turned into b, freed of hard iron, held against the Earth's field.
 
 Only the direction is used: a field near iron or currents changes its strength first, and units do not matter.
-Theory: docs/theory/magnetometer.md.
+Theory: docs/theory/compass.md.
 """
 
 from __future__ import annotations

@@ -211,16 +211,16 @@ class Estimator:
         if not self.running or self.frame is None:
             self._aligner.see_field(direction_b, t_us)
             return
-        reference_n = self._compass.reference_n(self.frame)
+        field_n = self._compass.reference_n(self.frame)
         self._take(
             magnetometer.measure(
+                sample.source,
                 sample.t_us,
                 t_us,
                 direction_b,
-                reference_n,
+                field_n,
                 settings.sigma,
                 settings.gate,
-                sample.source,
             )
         )
 

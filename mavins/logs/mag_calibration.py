@@ -6,7 +6,7 @@ R the sensor's mounting and b its hard iron, along the sensor's axes,
     m_2 - b = R^T C^T R (m_1 - b),
 
 which is linear in b: no model of the field, no attitude, no full sphere is needed. The mounting is the one of the 24
-at right angles that leaves the smallest residual. Theory: docs/theory/magnetometer.md.
+at right angles that leaves the smallest residual. Theory: docs/theory/compass.md.
 """
 
 from __future__ import annotations

@@ -42,7 +42,7 @@ PARAMETERS: dict[str, Callable[[FloatArray], FloatArray]] = {
         [level_turn().ravel(), gravity_n(x[:3], FRAME.r0_e, FRAME.C_ne)]
     ),
     "heading": lambda x: np.concatenate([FRAME.r0_e, FRAME.C_ne.ravel()]),
-    "magnetometer": lambda x: np.array([0.3, -0.1, 0.9]),
+    "magnetometer": lambda x: np.array([0.4, -0.1, 0.9]),
     "baro": lambda x: np.concatenate([FRAME.r0_e, FRAME.C_ne.ravel()]),
     "gravity_tilt": lambda x: np.concatenate([FRAME.r0_e, FRAME.C_ne.ravel()]),
     "nonholonomic": lambda x: np.array([-1.5, 0.3, 0.6]),

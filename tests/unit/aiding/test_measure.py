@@ -131,7 +131,7 @@ def test_magnetic_field_is_the_reference_turned_into_b() -> None:
     m_n = np.array([0.3, 0.1, 0.9])
     x = state()
     x[6:10] = euler_to_quat(0.2, -0.1, 2.0)
-    m = magnetometer.measure(7, 5, quat_to_dcm(x[6:10]).T @ m_n, m_n, 0.05, 4.0, "compass")
+    m = magnetometer.measure("compass", 7, 5, quat_to_dcm(x[6:10]).T @ m_n, m_n, 0.05, 4.0)
     assert (m.stamp_us, m.t_us, m.source, m.gate) == (7, 5, "compass", 4.0)
     assert_allclose(m.R, np.eye(3) * 0.0025)
     r, H = m.model(x, U, m.z, m.parameters)
