@@ -28,6 +28,7 @@ from mavins.estimator.barometer import Barometer
 from mavins.estimator.compass import Compass
 from mavins.estimator.fusion import Event, Fusion, Track
 from mavins.estimator.gate import gate_threshold
+from mavins.estimator.imu_rows import TICK_US, run_end, to_body, turn_of
 from mavins.estimator.pseudo import gravity_tilt_at, nonholonomic_at
 from mavins.estimator.quality import noise_of, objection
 from mavins.estimator.settings import Settings
@@ -37,9 +38,8 @@ from mavins.estimator.statistics import AidingStatistics
 from mavins.estimator.timeline import Timeline
 from mavins.filters import Filter, FilterState, ImuNoise, RowBlock, make
 from mavins.nav.earth import TangentFrame
-from mavins.nav.kernels import kernel
 from mavins.nav.linalg import is_sane
-from mavins.nav.so3 import dcm_to_quat, euler_to_quat, quat_to_dcm
+from mavins.nav.so3 import dcm_to_quat, quat_to_dcm
 from mavins.types import (
     BaroSample,
     FloatArray,
@@ -53,8 +53,6 @@ from mavins.types import (
     Origin,
 )
 
-TICK_US = 200_000
-"""Standing, time-outs and health are looked at when the IMU stamps pass a multiple of this."""
 RESETS_TO_DIVERGE = 3
 DIVERGE_WITHIN_US = 60_000_000
 YAW_SILENT_US = 5_000_000
@@ -93,7 +91,7 @@ class Estimator:
         self._window_us = round(settings.alignment.window * 1e6)
         self._imu_delay_us = round(settings.imu.delay * 1e6)
         self._max_gap_us = round(settings.estimator.max_gap * 1e6)
-        self._rotation = _rotation(settings.imu.rotation)
+        self._rotation = turn_of(settings.imu.rotation)
         self._wanted_origin: Origin | None = None
         self.frame: TangentFrame | None = None
         self.statistics: dict[str, AidingStatistics] = {}
@@ -153,7 +151,7 @@ class Estimator:
 
     def feed_imu(self, table: ImuTable) -> None:
         """Take IMU samples in the order of their arrival."""
-        t_us, imu = _to_body(table, self._imu_delay_us, self._rotation)
+        t_us, imu = to_body(table, self._imu_delay_us, self._rotation)
         start, n = 0, len(t_us)
         while start < n:
             newest = self.t_us
@@ -407,54 +405,6 @@ def _yaw_remark(state: FilterState, track: Track, now_us: int) -> str:
     if silent_us <= YAW_SILENT_US or sigma <= YAW_SIGMA:
         return ""
     return f"yaw not observable (sigma {math.degrees(sigma):.0f} deg): no heading, no acceleration"
-
-
-def _rotation(angles: tuple[float, float, float]) -> FloatArray | None:
-    return None if angles == (0.0, 0.0, 0.0) else quat_to_dcm(euler_to_quat(*angles))
-
-
-@kernel
-def run_end(t_us: IntArray, start: int, newest_us: int, max_gap_us: int) -> int:
-    """Where the run of stamps t_us (N,) from `start` ends: after the first one past a tick, before disorder or a gap.
-
-    `newest_us` is the stamp before the run, -1 for none.
-    """
-    last = t_us[start]
-    if newest_us >= 0 and last // TICK_US != newest_us // TICK_US:
-        return start + 1
-    end = start + 1
-    while end < len(t_us):
-        t = t_us[end]
-        if t <= last or t - last > max_gap_us:
-            break
-        end += 1
-        if t // TICK_US != last // TICK_US:
-            break
-        last = t
-    return end
-
-
-@kernel
-def _rotate_rows(C: FloatArray, imu: FloatArray) -> FloatArray:
-    """Rows (N, 6) of two vectors each, turned by C (3, 3); a loop, so that a row does not depend on its neighbours."""
-    out = np.zeros(imu.shape)
-    for k in range(imu.shape[0]):
-        for i in range(3):
-            for j in range(3):
-                out[k, i] += C[i, j] * imu[k, j]
-                out[k, 3 + i] += C[i, j] * imu[k, 3 + j]
-    return out
-
-
-def _to_body(
-    table: ImuTable, delay_us: int, rotation: FloatArray | None
-) -> tuple[IntArray, FloatArray]:
-    """Valid times (N,) and readings [gyro_b, accel_b] (N, 6) of a table."""
-    imu = np.empty((len(table), 6))
-    imu[:, :3] = table.gyro_b
-    imu[:, 3:] = table.accel_b
-    t_us = table.t_us - delay_us if delay_us else table.t_us
-    return t_us, imu if rotation is None else _rotate_rows(rotation, imu)
 
 
 def _carry_over(state: FilterState, old: TangentFrame, new: TangentFrame) -> None:
