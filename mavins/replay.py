@@ -86,11 +86,12 @@ def replay(
         writer.bounds_us = bounds
         outputs = Outputs(grid_us(options.rate), writer.write_rows, writer.write_decision)
         estimator = Estimator(config, config.filter, outputs)
-        seen = source.feed(estimator, progress)
+        source.feed(estimator, progress)
         estimator.finish()
     write_text(folder / "config.yaml", to_yaml(config))
     t_us, rows = writer.table()
-    summary = {"mavins": __version__, "log": str(log), "filter": config.filter, **seen}
+    summary: dict[str, Any] = {"mavins": __version__, "log": str(log), "filter": config.filter}
+    summary |= source.summary(estimator)
     truth = source.truth
     if truth is not None and len(truth) > 1 and len(t_us):
         table = (
@@ -123,8 +124,11 @@ class Source(Protocol):
     damage: dict[str, int]
     truth: TruthTable | None
 
-    def feed(self, estimator: Estimator, progress: Callable[[float], None]) -> dict[str, Any]:
-        """All of the log into an estimator; returns what the summary says about it."""
+    def feed(self, estimator: Estimator, progress: Callable[[float], None]) -> None:
+        """All of the log into an estimator."""
+
+    def summary(self, estimator: Estimator) -> dict[str, Any]:
+        """What was fed, and what the estimator made of it."""
 
 
 class TlogSource:
@@ -141,15 +145,18 @@ class TlogSource:
         }
         self.truth = truth_of(frames, self._sysid)
 
-    def feed(self, estimator: Estimator, progress: Callable[[float], None]) -> dict[str, Any]:
+    def feed(self, estimator: Estimator, progress: Callable[[float], None]) -> None:
         """The vehicle's packets through an intake."""
-        sysid, config = self._sysid, self.config
-        intake = Intake(estimator, config.sources)
-        our = our_sysid(self._frames, sysid, config.mavlink)
-        _feed(intake, self._frames, sysid, our, progress)
-        if intake.imu.chosen is None:
+        sysid = self._sysid
+        self._intake = Intake(estimator, self.config.sources)
+        our = our_sysid(self._frames, sysid, self.config.mavlink)
+        _feed(self._intake, self._frames, sysid, our, progress)
+        if self._intake.imu.chosen is None:
             raise LogFormatError(f"the log has no usable IMU messages of vehicle {sysid}")
-        return {"sysid": sysid, **summarize(estimator, intake)}
+
+    def summary(self, estimator: Estimator) -> dict[str, Any]:
+        """What the intake saw, and what the estimator made of it."""
+        return {"sysid": self._sysid, **summarize(estimator, self._intake)}
 
 
 class FolderSource:
@@ -162,11 +169,13 @@ class FolderSource:
         self.damage: dict[str, int] = {}
         self.truth = self._folder.truth
 
-    def feed(self, estimator: Estimator, progress: Callable[[float], None]) -> dict[str, Any]:
+    def feed(self, estimator: Estimator, progress: Callable[[float], None]) -> None:
         """All tables, merged by their stamps."""
-        folder = self._folder
-        feed_folder(folder, estimator, self.config, progress)
-        counts = folder.counts
+        feed_folder(self._folder, estimator, self.config, progress)
+
+    def summary(self, estimator: Estimator) -> dict[str, Any]:
+        """What the tables hold, and what the estimator made of it."""
+        folder, counts = self._folder, self._folder.counts
         return {
             "imu": {"message": "imu.csv", "id": 0},
             "messages": counts,
