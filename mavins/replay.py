@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -15,12 +15,15 @@ from mavins import __version__
 from mavins.config import Config, to_yaml
 from mavins.errors import LogFormatError
 from mavins.estimator.estimator import Estimator, Outputs
+from mavins.estimator.feed import Feed
 from mavins.estimator.solution import EULER, LLA, V_L
 from mavins.evaluation.compare import Truth
 from mavins.evaluation.errors import errors_against
 from mavins.evaluation.tape import Tape
+from mavins.logs.csv_feed import feed_folder, settled
+from mavins.logs.csv_folder import read_csv_folder
 from mavins.logs.tlog import read_tlog
-from mavins.logs.truth import truth_of
+from mavins.logs.truth import TruthTable, truth_of
 from mavins.mavlink.codec import IMU_KINDS, Frames, OriginRequest, decode, fields_of
 from mavins.mavlink.intake import RELEVANT, Intake
 from mavins.mavlink.session import sysid_for
@@ -70,13 +73,13 @@ def replay(
     options: ReplayOptions,
     progress: Callable[[float], None] = lambda _: None,
 ) -> dict[str, Any]:
-    """Run a log through the estimator, write the result folder, return the summary.
+    """Run a telemetry log or a folder of CSV files through the estimator, write the result folder, return the summary.
 
     Raises LogFormatError for what is not a log with an IMU, OutputError where `out` cannot be written.
     """
     wall, cpu = time.perf_counter(), time.process_time()
-    frames = read_tlog(log)
-    sysid = vehicle_of(frames, options.sysid)
+    source = source_of(log, config, options.sysid)
+    config = source.config
     bounds = (
         round((options.start or 0.0) * 1e6),
         2**62 if options.end is None else round(options.end * 1e6),
@@ -86,43 +89,103 @@ def replay(
         writer.bounds_us = bounds
         outputs = Outputs(grid_us(options.rate), writer.write_rows, writer.write_decision)
         estimator = Estimator(config, config.filter, outputs)
-        intake = Intake(estimator, config.sources)
-        _feed(intake, frames, sysid, our_sysid(frames, sysid, config.mavlink), progress)
+        source.feed(estimator, progress)
         estimator.finish()
-    if intake.imu.chosen is None:
-        raise LogFormatError(f"the log has no usable IMU messages of vehicle {sysid}")
     write_text(folder / "config.yaml", to_yaml(config))
     t_us, rows = writer.table()
-    summary = summarize(estimator, intake)
-    summary = {
-        "mavins": __version__,
-        "log": str(log),
-        "filter": config.filter,
-        "sysid": sysid,
-        **summary,
-    }
-    truth = truth_of(frames, sysid)
+    summary: dict[str, Any] = {"mavins": __version__, "log": str(log), "filter": config.filter}
+    summary |= source.summary(estimator)
+    truth = source.truth
     if truth is not None and len(truth) > 1 and len(t_us):
-        table = (
-            truth.t_us,
-            np.column_stack([truth.lat, truth.lon, truth.alt]),
-            truth.v_l,
-            truth.q_lb,
-        )
-        judged = errors_against(t_us, rows[:, LLA], rows[:, V_L], rows[:, EULER], table)
+        table = _columns(truth)
+        judged = errors_against(t_us, rows[:, LLA], rows[:, V_L], rows[:, EULER], table.columns())
         summary["truth"] = {"source": truth.source, **judged.summary()}
-    covered = (int(frames.t_us[-1]) - int(frames.t_us[0])) * 1e-6
-    summary["log_s"] = covered
+    summary["log_s"] = source.seconds
     summary["rows"] = writer.rows
-    summary["damage"] = {
-        name: getattr(frames.damage, name)
-        for name in ("bad_crc", "unknown", "skipped_bytes", "truncated")
-    }
+    summary["damage"] = source.damage
     summary["wall_s"] = time.perf_counter() - wall
     summary["cpu_s"] = time.process_time() - cpu
-    summary["times_real_time"] = covered / summary["cpu_s"]
+    summary["times_real_time"] = source.seconds / summary["cpu_s"]
     write_json(out / "summary.json", summary)
     return summary
+
+
+class Source(Protocol):
+    """A log of any kind.
+
+    `config` is the configuration with what the log itself decides; `seconds` is the log's length, `damage` what could
+    not be read; `truth` is for evaluation only.
+    """
+
+    config: Config
+    seconds: float
+    damage: dict[str, int]
+    truth: TruthTable | None
+
+    def feed(self, estimator: Feed, progress: Callable[[float], None]) -> None:
+        """All of the log into an estimator."""
+
+    def summary(self, estimator: Estimator) -> dict[str, Any]:
+        """What was fed, and what the estimator made of it."""
+
+
+class TlogSource:
+    """One vehicle of a telemetry log."""
+
+    def __init__(self, log: Path, config: Config, sysid: int | None) -> None:
+        self._frames = frames = read_tlog(log)
+        self._sysid = vehicle_of(frames, sysid)
+        self.config = config
+        self.seconds = (int(frames.t_us[-1]) - int(frames.t_us[0])) * 1e-6
+        self.damage = {
+            name: getattr(frames.damage, name)
+            for name in ("bad_crc", "unknown", "skipped_bytes", "truncated")
+        }
+        self.truth = truth_of(frames, self._sysid)
+
+    def feed(self, estimator: Feed, progress: Callable[[float], None]) -> None:
+        """The vehicle's packets through an intake."""
+        sysid = self._sysid
+        self._intake = Intake(estimator, self.config.sources)
+        our = our_sysid(self._frames, sysid, self.config.mavlink)
+        _feed(self._intake, self._frames, sysid, our, progress)
+        if self._intake.imu.chosen is None:
+            raise LogFormatError(f"the log has no usable IMU messages of vehicle {sysid}")
+
+    def summary(self, estimator: Estimator) -> dict[str, Any]:
+        """What the intake saw, and what the estimator made of it."""
+        return {"sysid": self._sysid, **summarize(estimator, self._intake)}
+
+
+class FolderSource:
+    """A folder of CSV files."""
+
+    def __init__(self, log: Path, config: Config) -> None:
+        self._folder = read_csv_folder(log)
+        self.config = settled(config, self._folder)
+        self.seconds = self._folder.seconds
+        self.damage: dict[str, int] = {}
+        self.truth = self._folder.truth
+
+    def feed(self, estimator: Feed, progress: Callable[[float], None]) -> None:
+        """All tables, merged by their stamps."""
+        feed_folder(self._folder, estimator, self.config, progress)
+
+    def summary(self, estimator: Estimator) -> dict[str, Any]:
+        """What the tables hold, and what the estimator made of it."""
+        folder, counts = self._folder, self._folder.counts
+        return {
+            "imu": {"message": "imu.csv", "id": 0},
+            "messages": counts,
+            "rates_hz": {name: n / max(self.seconds, 1e-6) for name, n in counts.items()},
+            "dropped": {k: v for k, v in (folder.dropped + estimator.dropped).items() if v},
+            **outcome_of(estimator),
+        }
+
+
+def source_of(log: Path, config: Config, sysid: int | None) -> Source:
+    """The source that a path is: a folder of CSV files or a telemetry log."""
+    return FolderSource(log, config) if log.is_dir() else TlogSource(log, config, sysid)
 
 
 def tape_of(
@@ -131,17 +194,17 @@ def tape_of(
     sysid: int | None = None,
     progress: Callable[[float], None] = lambda _: None,
 ) -> tuple[Tape, Truth | None]:
-    """What an estimator would be fed from a log, and the truth that the log carries."""
-    frames = read_tlog(log)
-    vehicle = vehicle_of(frames, sysid)
-    tape = Tape(config)
-    intake = Intake(tape, config.sources)
-    _feed(intake, frames, vehicle, our_sysid(frames, vehicle, config.mavlink), progress)
-    truth = truth_of(frames, vehicle)
-    if truth is None or len(truth) < 2:
-        return tape, None
+    """What an estimator would be fed from a log, with the settings that go with it, and the log's truth."""
+    source = source_of(log, config, sysid)
+    tape = Tape(source.config)
+    source.feed(tape, progress)
+    truth = source.truth
+    return tape, None if truth is None or len(truth) < 2 else _columns(truth)
+
+
+def _columns(truth: TruthTable) -> Truth:
     lla = np.column_stack([truth.lat, truth.lon, truth.alt])
-    return tape, Truth(truth.t_us, lla, truth.v_l, truth.q_lb)
+    return Truth(truth.t_us, lla, truth.v_l, truth.q_lb)
 
 
 def our_sysid(frames: Frames, sysid: int, settings: SessionSettings) -> int:
@@ -187,11 +250,18 @@ def summarize(estimator: Estimator, intake: Intake) -> dict[str, Any]:
         "messages": dict(intake.counts),
         "rates_hz": intake.rates(),
         "dropped": {k: v for k, v in (intake.dropped + estimator.dropped).items() if v},
+        "reboots": intake.reboots,
+        **outcome_of(estimator),
+    }
+
+
+def outcome_of(estimator: Estimator) -> dict[str, Any]:
+    """What an estimator decided: aidings with their innovation statistics, health, resets."""
+    return {
         "imu_samples": estimator.imu_rows,
         "aiding": {name: s.summary() for name, s in estimator.statistics.items()},
         "health": estimator.health.name.lower(),
         "reason": estimator.reason,
-        "reboots": intake.reboots,
         "resets": estimator.reset_counter,
         "realignments": estimator.realignments,
     }

@@ -82,6 +82,24 @@ class HeadingFix:
     delay: float = 0.0
 
 
+@dataclass(frozen=True, slots=True)
+class MagSample:
+    """One reading of a 3-axis magnetometer: `field` (3,) along the sensor's axes, in any unit."""
+
+    t_us: int
+    field: FloatArray
+    source: str = "magnetometer"
+
+
+@dataclass(frozen=True, slots=True)
+class BaroSample:
+    """One barometric altitude in m, above whatever level its maker chose."""
+
+    t_us: int
+    alt: float
+    source: str = "baro"
+
+
 class Health(enum.IntEnum):
     """What the estimator is doing. Only RUNNING and DEAD_RECKONING have an estimate to give."""
 

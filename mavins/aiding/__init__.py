@@ -11,6 +11,9 @@ REGISTRY: Final = {
     "zero_velocity": "mavins.aiding.zero_velocity:model",
     "magnetometer": "mavins.aiding.magnetometer:model",
     "zero_rate": "mavins.aiding.zero_rate:model",
+    "baro": "mavins.aiding.baro:model",
+    "gravity_tilt": "mavins.aiding.gravity_tilt:model",
+    "nonholonomic": "mavins.aiding.nonholonomic:model",
 }
 
 __all__ = ["REGISTRY", "Measurement", "Model"]

@@ -5,10 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from mavins.aiding import (
+    baro,
     gnss_position,
     gnss_velocity,
+    gravity_tilt,
     heading,
     magnetometer,
+    nonholonomic,
     zero_rate,
     zero_velocity,
 )
@@ -35,6 +38,12 @@ def residuals(
             out[k] = magnetometer.model(X[k], u, z, parameters)[0]
         elif rank == zero_rate.RANK:
             out[k] = zero_rate.model(X[k], u, z, parameters)[0]
+        elif rank == baro.RANK:
+            out[k] = baro.model(X[k], u, z, parameters)[0]
+        elif rank == gravity_tilt.RANK:
+            out[k] = gravity_tilt.model(X[k], u, z, parameters)[0]
+        elif rank == nonholonomic.RANK:
+            out[k] = nonholonomic.model(X[k], u, z, parameters)[0]
         else:
             out[k] = np.nan
     return out

@@ -12,6 +12,7 @@ from mavins.filters import REGISTRY
 
 if TYPE_CHECKING:
     from mavins.config import Config
+    from mavins.estimator.settings import Settings
     from mavins.evaluation.compare import Run, Truth
     from mavins.evaluation.tape import Tape
 
@@ -84,7 +85,8 @@ def run(args: argparse.Namespace) -> int:
         if is_log(args.source):
             from mavins.replay import tape_of
 
-            flights = [(config, *tape_of(Path(args.source), config, args.sysid))]
+            tape, truth = tape_of(Path(args.source), config, args.sysid)
+            flights = [(tape.settings, tape, truth)]
             results = run_all(filters, flights, bounds_us)
             count = 1
         else:
@@ -131,7 +133,7 @@ def is_log(source: str) -> bool:
 
 def run_all(
     filters: Sequence[str],
-    flights: Sequence[tuple[Config, Tape, Truth | None]],
+    flights: Sequence[tuple[Settings, Tape, Truth | None]],
     bounds_us: tuple[int, int],
 ) -> Any:
     """(truth, run) of every filter on every flight, one after the other: CPU times are comparable only so."""

@@ -19,13 +19,22 @@ examples:
   mavins replay flight.tlog --out result
   mavins replay flight.tlog.xz --out result --start 60 --end 248
   mavins replay flight.tlog --out result --config flight.yaml --rate 0
+  mavins replay flight/ --out result    a folder with imu.csv, gnss.csv, mag.csv, ... (.xz, .gz)
 
 writes: OUT/<filter>/estimates.csv, innovations.csv, config.yaml and OUT/summary.json"""
+
+REFERENCE = "reference.csv"
+"""What another filter said, not a truth."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("log", type=Path, metavar="LOG", help="a .tlog, also in .gz or .xz")
+    parser.add_argument(
+        "log",
+        type=Path,
+        metavar="LOG",
+        help="a .tlog, also in .gz or .xz, or a folder of CSV files",
+    )
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="the result folder")
     parser.add_argument("--filter", metavar="NAME", help="the filter (default: the configured one)")
     parser.add_argument("--config", type=Path, metavar="FILE", help="settings in YAML")
@@ -84,13 +93,16 @@ def lines_of(summary: dict[str, Any], out: Path) -> list[str]:
         lines.append(f"  {name}: {aiding['accepted']} fused, rejected: {rejected}{shown}")
     truth = summary.get("truth")
     if truth and "rms" in truth:
-        lines.append(f"error against {truth['source']}     RMS                      max")
+        word = "difference to" if truth["source"] == REFERENCE else "error against"
+        lines.append(f"{word} {truth['source']}     RMS                      max")
         units = {
             "pos_m": "position N/E/D m",
             "vel_m_s": "velocity N/E/D m/s",
             "att_deg": "roll/pitch/yaw deg",
         }
         for key, label in units.items():
+            if key not in truth["rms"]:
+                continue
             rms = "/".join(f"{v:.3f}" for v in truth["rms"][key])
             largest = "/".join(f"{v:.3f}" for v in truth["max"][key])
             lines.append(f"  {label:<20} {rms:<24} {largest}")

@@ -11,6 +11,7 @@ import numpy as np
 
 from mavins.estimator.alignment import Start, initial_state
 from mavins.estimator.buffer import ImuBuffer
+from mavins.estimator.compass import Compass, levelled
 from mavins.estimator.quality import StartGate, noise_of, objection
 from mavins.estimator.settings import Settings
 from mavins.estimator.standing import StandingDetector, mean_rows
@@ -20,6 +21,8 @@ from mavins.nav.so3 import dcm_to_quat, quat_conj, quat_mul
 from mavins.types import FloatArray, GnssFix, HeadingFix
 
 _HISTORY_US = 3_000_000
+_DIP_LIMIT = math.radians(30.0)
+"""A field whose dip is further from the Earth's than this tells no heading."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,12 +41,14 @@ class Candidate:
 class Aligner:
     """Sees every fix and heading, and looks at the IMU when asked for a candidate."""
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: Settings, compass: Compass | None = None) -> None:
         self._settings = settings
+        self._compass = compass or Compass(settings.magnetometer)
         self.standing = StandingDetector(settings.zero_velocity)
         self.gate = StartGate(settings.gnss)
         self._fixes: deque[tuple[int, GnssFix]] = deque()
         self._heading: tuple[int, HeadingFix] | None = None
+        self._field: tuple[int, FloatArray] | None = None
 
     def see_fix(self, fix: GnssFix, t_us: int) -> None:
         """A fix with its valid time."""
@@ -58,6 +63,10 @@ class Aligner:
         """A heading with its valid time."""
         self._heading = (t_us, fix)
 
+    def see_field(self, direction_b: FloatArray, t_us: int) -> None:
+        """The direction (3,) of the magnetic field in b with its valid time."""
+        self._field = (t_us, direction_b)
+
     def candidate(self, buffer: ImuBuffer, now_us: int, buffer_us: int) -> Candidate | str:
         """What a start can be made from now, or what is missing for one."""
         settings = self._settings.alignment
@@ -66,9 +75,10 @@ class Aligner:
             return "collecting IMU samples"
         if not self.gate.passed:
             return self.gate.reason
-        if self._heading is None:
+        told = [seen[0] for seen in (self._heading, self._field) if seen is not None]
+        if not told:
             return "no heading source"
-        if now_us - self._heading[0] > settings.heading_age * 1e6:
+        if now_us - max(told) > settings.heading_age * 1e6:
             return "heading is old"
         usable = [(t, f) for t, f in self._fixes if now_us - buffer_us < t <= now_us]
         if not usable:
@@ -78,15 +88,35 @@ class Aligner:
             return "collecting IMU samples"
         means = mean_rows(buffer.readings(buffer.row_after(now_us - window_us), buffer.end))
         standing = self.standing.standing
+        acceleration_l = np.zeros(3) if standing else self._acceleration(now_us - window_us, now_us)
+        heading = self._heading_now(now_us, fix, means[3:], acceleration_l)
+        if isinstance(heading, str):
+            return heading
         return Candidate(
-            t_us,
-            fix,
-            self._heading[1],
-            means[:3].copy(),
-            means[3:].copy(),
-            np.zeros(3) if standing else self._acceleration(now_us - window_us, now_us),
-            standing,
+            t_us, fix, heading, means[:3].copy(), means[3:].copy(), acceleration_l, standing
         )
+
+    def _heading_now(
+        self, now_us: int, fix: GnssFix, accel_b: FloatArray, acceleration_l: FloatArray
+    ) -> HeadingFix | str:
+        """The newest heading, or where there is none of late the one that the levelled magnetic field shows."""
+        s = self._settings
+        if self._heading and now_us - self._heading[0] <= s.alignment.heading_age * 1e6:
+            return self._heading[1]
+        assert self._field is not None
+        t_us, direction_b = self._field
+        reference_l = self._compass.reference_l(fix.lat, fix.lon, fix.alt)
+        push_l = acceleration_l - np.array([0.0, 0.0, 9.81])
+        yaw, dip = levelled(direction_b, accel_b, push_l, reference_l)
+        wanted = math.asin(float(reference_l[2]))
+        if abs(dip - wanted) > _DIP_LIMIT:
+            return (
+                f"magnetometer: dip {math.degrees(dip):.0f} deg, "
+                f"the Earth's field has {math.degrees(wanted):.0f}"
+            )
+        tilt = 0.0 if self.standing.standing else math.radians(s.alignment.moving_sigma_deg)
+        sigma = math.hypot(s.magnetometer.sigma, tilt * math.sin(wanted)) / math.cos(wanted)
+        return HeadingFix(t_us, yaw, min(sigma, math.pi), "magnetometer")
 
     def _acceleration(self, start_us: int, end_us: int) -> FloatArray:
         """Mean acceleration (3,) in l in m/s^2 over the window as GNSS velocities show it; zero where they do not."""

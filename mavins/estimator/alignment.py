@@ -78,9 +78,9 @@ class Start:
     sigma_tilt: float
     sigma_yaw: float
     lever_b: FloatArray
-    sigma_lever: float
-    delay: float
-    sigma_delay: float
+    sigma_lever: float = 0.0
+    delay: float = 0.0
+    sigma_delay: float = 0.0
 
 
 def initial_state(start: Start, layout: Layout) -> tuple[FloatArray, FloatArray]:

@@ -16,17 +16,23 @@ import numpy as np
 
 from mavins.aiding import (
     Measurement,
+    baro,
     gnss_position,
     gnss_velocity,
     heading,
+    magnetometer,
     zero_rate,
     zero_velocity,
 )
 from mavins.aiding.detectors import gnss_speed
 from mavins.estimator.aligner import Aligner, Candidate
+from mavins.estimator.barometer import Barometer
+from mavins.estimator.compass import Compass
 from mavins.estimator.fusion import Event, Fusion, Track
 from mavins.estimator.gate import gate_threshold
+from mavins.estimator.imu_rows import TICK_US, run_end, to_body, turn_of
 from mavins.estimator.latency import delay_parameters
+from mavins.estimator.pseudo import gravity_tilt_at, nonholonomic_at
 from mavins.estimator.quality import noise_of, objection
 from mavins.estimator.settings import Settings
 from mavins.estimator.solution import solution_of
@@ -35,23 +41,22 @@ from mavins.estimator.statistics import AidingStatistics
 from mavins.estimator.timeline import Timeline
 from mavins.filters import Filter, FilterState, ImuNoise, RowBlock, make
 from mavins.nav.earth import TangentFrame
-from mavins.nav.kernels import kernel
 from mavins.nav.layout import X_TAU
 from mavins.nav.linalg import is_sane
-from mavins.nav.so3 import dcm_to_quat, euler_to_quat, quat_to_dcm
+from mavins.nav.so3 import dcm_to_quat, quat_to_dcm
 from mavins.types import (
+    BaroSample,
     FloatArray,
     GnssFix,
     HeadingFix,
     Health,
     ImuTable,
     IntArray,
+    MagSample,
     NavSolution,
     Origin,
 )
 
-TICK_US = 200_000
-"""Standing, time-outs and health are looked at when the IMU stamps pass a multiple of this."""
 RESETS_TO_DIVERGE = 3
 DIVERGE_WITHIN_US = 60_000_000
 _NOTHING = np.empty(0)
@@ -93,7 +98,7 @@ class Estimator:
         self._window_us = round(settings.alignment.window * 1e6)
         self._imu_delay_us = round(settings.imu.delay * 1e6)
         self._max_gap_us = round(settings.estimator.max_gap * 1e6)
-        self._rotation = _rotation(settings.imu.rotation)
+        self._rotation = turn_of(settings.imu.rotation)
         self._wanted_origin: Origin | None = None
         self.frame: TangentFrame | None = None
         self.statistics: dict[str, AidingStatistics] = {}
@@ -103,7 +108,9 @@ class Estimator:
         self.loss = ""
         self._resets_before = 0
         self._first_delay = 0.0
-        self._aligner = Aligner(settings)
+        self._compass = Compass(settings.magnetometer)
+        self._barometer = Barometer(settings.baro)
+        self._aligner = Aligner(settings, self._compass)
         self._line = self._new_line()
         self.health = Health.WAITING
         self.reason = "waiting for IMU and GNSS"
@@ -153,7 +160,7 @@ class Estimator:
 
     def feed_imu(self, table: ImuTable) -> None:
         """Take IMU samples in the order of their arrival."""
-        t_us, imu = _to_body(table, self._imu_delay_us, self._rotation)
+        t_us, imu = to_body(table, self._imu_delay_us, self._rotation)
         start, n = 0, len(t_us)
         while start < n:
             newest = self.t_us
@@ -175,11 +182,13 @@ class Estimator:
         speed = gnss_speed(fix)
         if not quality and not math.isnan(speed):
             self._aligner.standing.see_speed(speed)
+        settings = self.settings.gnss
+        noise = noise_of(fix, settings)
+        if not quality:
+            self._barometer.see_fix(t_us, fix.alt, noise.v)
         if not self.running or self.frame is None:
             self._aligner.see_fix(fix, t_us)
             return
-        settings = self.settings.gnss
-        noise = noise_of(fix, settings)
         self._take(
             gnss_position.measure(
                 fix, t_us, self.frame, noise.h, noise.v, settings.gate, quality, delay[:1]
@@ -215,6 +224,42 @@ class Estimator:
     def heading_sigma(self, fix: HeadingFix) -> float:
         """The 1-sigma noise (rad) taken for a heading."""
         return fix.sigma if fix.sigma is not None else math.radians(self.settings.heading.sigma_deg)
+
+    def feed_mag(self, sample: MagSample) -> None:
+        """Take a reading of a magnetometer."""
+        direction_b = self._compass.direction_b(sample)
+        if direction_b is None:
+            return
+        settings = self.settings.magnetometer
+        t_us = sample.t_us - round(settings.delay * 1e6)
+        if not self.running or self.frame is None:
+            self._aligner.see_field(direction_b, t_us)
+            return
+        field_n = self._compass.reference_n(self.frame)
+        self._take(
+            magnetometer.measure(
+                sample.source,
+                sample.t_us,
+                t_us,
+                direction_b,
+                field_n,
+                settings.sigma,
+                settings.gate,
+            )
+        )
+
+    def feed_baro(self, sample: BaroSample) -> None:
+        """Take a barometric altitude."""
+        level = self._barometer.altitude(sample)
+        if level is None or not self.running or self.frame is None:
+            return
+        settings = self.settings.baro
+        t_us = sample.t_us - round(settings.delay * 1e6)
+        self._take(
+            baro.measure(
+                sample.t_us, t_us, level[0], self.frame, level[1], settings.gate, sample.source
+            )
+        )
 
     def flush(self) -> None:
         """Hand over the output rows that are held."""
@@ -269,6 +314,7 @@ class Estimator:
             self._try_to_align(now_us)
         else:
             self._zero_velocity(now_us)
+            self._habits(now_us)
             self._judge_health(now_us)
         self._decide(self._line.prune(now_us, self._window_us))
 
@@ -282,6 +328,17 @@ class Estimator:
         self._take(
             zero_rate.measure(now_us, t_us, standing.gyro_b, self.frame, settings.rate_sigma, gate)
         )
+
+    def _habits(self, now_us: int) -> None:
+        """What is known of the motion without a sensor for it, where it is switched on."""
+        frame, buffer = self.frame, self._line.buffer
+        assert frame is not None
+        for measurement in (
+            gravity_tilt_at(now_us, buffer, frame, self.settings.gravity_tilt),
+            nonholonomic_at(now_us, self.settings.nonholonomic),
+        ):
+            if measurement is not None and self.running:
+                self._take(measurement)
 
     def _judge_health(self, now_us: int) -> None:
         state = self._line.state
@@ -322,7 +379,7 @@ class Estimator:
         self.realignments += had_estimate
         self.loss = reason if had_estimate else self.loss
         self.finish()
-        self._aligner = Aligner(self.settings)
+        self._aligner = Aligner(self.settings, self._compass)
         self._line = self._new_line()
         self.health = health
         self.reason = reason
@@ -379,54 +436,6 @@ def _yaw_remark(state: FilterState, track: Track, now_us: int) -> str:
     if silent_us <= YAW_SILENT_US or sigma <= YAW_SIGMA:
         return ""
     return f"yaw not observable (sigma {math.degrees(sigma):.0f} deg): no heading, no acceleration"
-
-
-def _rotation(angles: tuple[float, float, float]) -> FloatArray | None:
-    return None if angles == (0.0, 0.0, 0.0) else quat_to_dcm(euler_to_quat(*angles))
-
-
-@kernel
-def run_end(t_us: IntArray, start: int, newest_us: int, max_gap_us: int) -> int:
-    """Where the run of stamps t_us (N,) from `start` ends: after the first one past a tick, before disorder or a gap.
-
-    `newest_us` is the stamp before the run, -1 for none.
-    """
-    last = t_us[start]
-    if newest_us >= 0 and last // TICK_US != newest_us // TICK_US:
-        return start + 1
-    end = start + 1
-    while end < len(t_us):
-        t = t_us[end]
-        if t <= last or t - last > max_gap_us:
-            break
-        end += 1
-        if t // TICK_US != last // TICK_US:
-            break
-        last = t
-    return end
-
-
-@kernel
-def _rotate_rows(C: FloatArray, imu: FloatArray) -> FloatArray:
-    """Rows (N, 6) of two vectors each, turned by C (3, 3); a loop, so that a row does not depend on its neighbours."""
-    out = np.zeros(imu.shape)
-    for k in range(imu.shape[0]):
-        for i in range(3):
-            for j in range(3):
-                out[k, i] += C[i, j] * imu[k, j]
-                out[k, 3 + i] += C[i, j] * imu[k, 3 + j]
-    return out
-
-
-def _to_body(
-    table: ImuTable, delay_us: int, rotation: FloatArray | None
-) -> tuple[IntArray, FloatArray]:
-    """Valid times (N,) and readings [gyro_b, accel_b] (N, 6) of a table."""
-    imu = np.empty((len(table), 6))
-    imu[:, :3] = table.gyro_b
-    imu[:, 3:] = table.accel_b
-    t_us = table.t_us - delay_us if delay_us else table.t_us
-    return t_us, imu if rotation is None else _rotate_rows(rotation, imu)
 
 
 def _carry_over(state: FilterState, old: TangentFrame, new: TangentFrame) -> None:

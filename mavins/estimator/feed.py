@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Protocol
 
 from mavins.estimator.settings import Settings
-from mavins.types import GnssFix, HeadingFix, ImuTable, Origin
+from mavins.types import BaroSample, GnssFix, HeadingFix, ImuTable, MagSample, Origin
 
 
 class Feed(Protocol):
@@ -27,3 +27,9 @@ class Feed(Protocol):
 
     def feed_heading(self, fix: HeadingFix) -> None:
         """Take a heading."""
+
+    def feed_mag(self, sample: MagSample) -> None:
+        """Take a magnetometer's reading."""
+
+    def feed_baro(self, sample: BaroSample) -> None:
+        """Take a barometer's reading."""

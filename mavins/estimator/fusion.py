@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from mavins.aiding import Measurement, gnss_position, gnss_velocity
+from mavins.aiding import Measurement, gnss_position, gnss_velocity, heading, magnetometer
 from mavins.estimator.gate import gate_threshold
 from mavins.filters.base import Filter, FilterState
 from mavins.types import FloatArray
@@ -24,8 +24,8 @@ RESETTABLE: Final = {gnss_position.NAME: (0, 0), gnss_velocity.NAME: (1, 3)}
 class Track(NamedTuple):
     """What the fusion remembers, times in us (-1: never).
 
-    When position, velocity and heading were last accepted, since when position and velocity have been rejected
-    without a break and when they last were, how many resets there were, and when the last of them.
+    When position, velocity and heading (or a magnetic field) were last accepted, since when position and velocity
+    have been rejected without a break and when they last were, how many resets there were, and when the last of them.
     """
 
     accepted_us: tuple[int, ...] = (-1, -1, -1)
@@ -80,11 +80,13 @@ class Fusion:
 
     def _accept(self, m: Measurement) -> None:
         track = self.track
-        if m.rank < len(track.accepted_us):
-            accepted = _put(track.accepted_us, m.rank, m.t_us)
+        # a magnetometer is as good as a heading
+        place = heading.RANK if m.rank == magnetometer.RANK else m.rank
+        if place < len(track.accepted_us):
+            accepted = _put(track.accepted_us, place, m.t_us)
             since = track.rejected_since_us
-            if m.rank < len(since) and since[m.rank] >= 0:
-                since = _put(since, m.rank, -1)
+            if place < len(since) and since[place] >= 0:
+                since = _put(since, place, -1)
             self.track = track._replace(accepted_us=accepted, rejected_since_us=since)
 
     def _reject(self, state: FilterState, m: Measurement, event: Event) -> None:

@@ -137,7 +137,8 @@ def _nees(
 ) -> tuple[IntArray, FloatArray]:
     """The NEES at those instants that have a truth."""
     lla, v_l, q_lb, inside = interpolate_truth(t_us, *truth.columns())
-    at = np.flatnonzero(inside)
+    whole = np.isfinite(np.column_stack([lla, v_l, q_lb])).all(axis=1)
+    at = np.flatnonzero(inside & whole)
     x_true = x[at].copy()
     for row, k in zip(x_true, at.tolist(), strict=True):
         C_ln = frame.local_level(lla[k, 0], lla[k, 1])
@@ -187,8 +188,10 @@ def together(runs: Sequence[Run]) -> dict[str, Any]:
             "vel": np.concatenate([e.vel for e in judged]),
             "att": np.degrees(np.concatenate([e.att for e in judged])),
         }
-        result["rms"] = {k: np.sqrt(np.mean(v**2, axis=0)).tolist() for k, v in columns.items()}
-        result["max"] = {k: np.max(np.abs(v), axis=0).tolist() for k, v in columns.items()}
+        known = {k: v[~np.isnan(v).any(axis=1)] for k, v in columns.items()}
+        seen = {k: v for k, v in known.items() if len(v)}
+        result["rms"] = {k: np.sqrt(np.mean(v**2, axis=0)).tolist() for k, v in seen.items()}
+        result["max"] = {k: np.max(np.abs(v), axis=0).tolist() for k, v in seen.items()}
         result["convergence_s"] = float(np.median([converged_after(e) for e in judged]))
         result |= _consistency(runs)
     return result

@@ -38,7 +38,7 @@ def table_lines(figures: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
 
 
 def _axes(figure: Mapping[str, Any], kind: str, part: str) -> str:
-    return "/".join(f"{v:.3f}" for v in figure[kind][part]) if kind in figure else "-"
+    return "/".join(f"{v:.3f}" for v in figure[kind][part]) if part in figure.get(kind, {}) else "-"
 
 
 def _number(value: float | None, form: str, unit: str = "") -> str:

@@ -23,12 +23,17 @@ class Errors:
     att: FloatArray
 
     def summary(self) -> dict[str, Any]:
-        """RMS and maximum per axis; attitude in degrees."""
+        """RMS and maximum per axis; attitude in degrees. Instants without a truth are nan, and not counted."""
         result: dict[str, Any] = {"instants": len(self.t_us)}
-        if len(self.t_us):
-            columns = {"pos_m": self.pos, "vel_m_s": self.vel, "att_deg": np.degrees(self.att)}
-            result["rms"] = {k: np.sqrt(np.mean(v**2, axis=0)).tolist() for k, v in columns.items()}
-            result["max"] = {k: np.max(np.abs(v), axis=0).tolist() for k, v in columns.items()}
+        columns = {"pos_m": self.pos, "vel_m_s": self.vel, "att_deg": np.degrees(self.att)}
+        known = {k: v[np.isfinite(v).all(axis=1)] for k, v in columns.items()}
+        if any(len(v) for v in known.values()):
+            result["rms"] = {
+                k: np.sqrt(np.mean(v**2, axis=0)).tolist() for k, v in known.items() if len(v)
+            }
+            result["max"] = {
+                k: np.max(np.abs(v), axis=0).tolist() for k, v in known.items() if len(v)
+            }
         return result
 
 
@@ -38,7 +43,7 @@ def interpolate_truth(
     """Truth (lat, lon, alt (N, 3), v_l (N, 3), q_lb (N, 4)) at other instants, and which lie inside it.
 
     Position by the cubic that meets position and velocity at both ends, velocity linear, attitude by the normalized
-    chord. An instant between truth samples more than 0.2 s apart has none.
+    chord. An instant between truth samples more than 0.2 s apart has none; what a truth sample lacks is nan.
     """
     k = np.clip(np.searchsorted(t_us, at_us, side="right") - 1, 0, len(t_us) - 2)
     step = (t_us[k + 1] - t_us[k]) * 1e-6
@@ -47,7 +52,7 @@ def interpolate_truth(
     # the velocity per unit of (lat, lon, alt): the positions' own scale over a step is accurate enough
     linear = lla[k] + s * (lla[k + 1] - lla[k])
     bend = 0.5 * s * (1.0 - s) * step[:, None] * step[:, None]
-    acceleration = (v_l[k + 1] - v_l[k]) / step[:, None]
+    acceleration = np.nan_to_num((v_l[k + 1] - v_l[k]) / step[:, None])
     scale = np.column_stack(
         [
             np.full(len(k), 1.0 / 6.37e6),

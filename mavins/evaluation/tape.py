@@ -8,7 +8,16 @@ import numpy as np
 
 from mavins.estimator.estimator import Estimator
 from mavins.estimator.settings import Settings
-from mavins.types import FloatArray, GnssFix, HeadingFix, ImuTable, IntArray, Origin
+from mavins.types import (
+    BaroSample,
+    FloatArray,
+    GnssFix,
+    HeadingFix,
+    ImuTable,
+    IntArray,
+    MagSample,
+    Origin,
+)
 
 
 class Tape:
@@ -37,6 +46,14 @@ class Tape:
     def feed_heading(self, fix: HeadingFix) -> None:
         """Keep a heading."""
         self.feeds.append(("feed_heading", fix))
+
+    def feed_mag(self, sample: MagSample) -> None:
+        """Keep a magnetometer's reading."""
+        self.feeds.append(("feed_mag", sample))
+
+    def feed_baro(self, sample: BaroSample) -> None:
+        """Keep a barometer's reading."""
+        self.feeds.append(("feed_baro", sample))
 
     def fixes(self) -> tuple[IntArray, FloatArray]:
         """Stamps (N,) in us and places (N, 3: lat, lon in rad, alt in m) of the GNSS fixes."""

@@ -11,9 +11,11 @@ REGISTRY: Final[dict[str, tuple[str, str]]] = {
     "square-spiral": (
         "mavins.examples.square_spiral",
         "the Euler-angle filter matches its original, the manifold filters beat it",
+    ),
     "foot-mounted": (
         "mavins.examples.foot_mounted",
         "an IMU on a foot, zero velocity at each step (article 002)",
     ),
+    "flights": ("mavins.examples.flights", "two real flights through every filter"),
 }
 """Name -> (module, one line for the overview)."""

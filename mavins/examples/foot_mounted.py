@@ -24,6 +24,7 @@ from mavins.examples.drawing import pyplot
 from mavins.examples.foot_data import Recording, read_openshoe, read_vicon
 from mavins.filters import FilterState, ImuNoise, RowBlock, make
 from mavins.nav.earth import TangentFrame, gravity_n
+from mavins.nav.layout import Layout
 from mavins.types import FloatArray, Origin
 
 DETECTOR: Final = Detector("shoe")
@@ -108,7 +109,7 @@ def navigate(recording: Recording, origin: Origin) -> Walk:
     frame = TangentFrame.at(origin)
     t_us, imu = recording.t_us, recording.imu
     algorithm = make("eskf", NOISE)
-    state = start_state(recording, frame, algorithm.layout.size)
+    state = start_state(recording, frame, algorithm.layout)
     algorithm.adopt(state)
     statistics = DETECTOR.statistics(imu)
     standing = statistics < THRESHOLD.over_log(t_us, statistics)
@@ -136,7 +137,7 @@ def navigate(recording: Recording, origin: Origin) -> Walk:
     return Walk(recording, p_n, standing)
 
 
-def start_state(recording: Recording, frame: TangentFrame, size: int) -> FilterState:
+def start_state(recording: Recording, frame: TangentFrame, layout: Layout) -> FilterState:
     """At rest at the origin, facing north, levelled by the first tenth of a second."""
     imu = recording.imu
     first = imu[recording.t_us <= recording.t_us[0] + LEVELLING_US]
@@ -155,7 +156,7 @@ def start_state(recording: Recording, frame: TangentFrame, size: int) -> FilterS
         sigma_yaw=0.0,
         lever_b=np.zeros(3),
     )
-    x, P = initial_state(start, size)
+    x, P = initial_state(start, layout)
     return FilterState(x, P, imu[0].copy(), int(recording.t_us[0]))
 
 

@@ -45,9 +45,12 @@ PARAMETERS: dict[str, Callable[[FloatArray], FloatArray]] = {
     "heading": lambda x: np.concatenate([FRAME.r0_e, FRAME.C_ne.ravel()]),
     "magnetometer": lambda x: np.array([0.4, -0.1, 0.9]),
     "zero_rate": lambda x: FRAME.w_ie_n,
+    "baro": lambda x: np.concatenate([FRAME.r0_e, FRAME.C_ne.ravel()]),
+    "gravity_tilt": lambda x: np.concatenate([FRAME.r0_e, FRAME.C_ne.ravel()]),
+    "nonholonomic": lambda x: np.array([-1.5, 0.3, 0.6]),
 }
 """What a model needs beside the state; a model that is not here needs nothing."""
-ROWS = {"gnss_velocity": (2, 3), "heading": (1,)}
+ROWS = {"gnss_velocity": (2, 3), "heading": (1,), "baro": (1,), "nonholonomic": (2,)}
 CASES = [(name, m) for name in REGISTRY for m in ROWS.get(name, (3,))]
 
 

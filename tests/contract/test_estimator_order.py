@@ -14,15 +14,21 @@ from numpy.testing import assert_array_equal
 
 from mavins.estimator.estimator import Estimator, Outputs
 from mavins.estimator.fusion import Event
-from mavins.estimator.settings import GnssSettings, HeadingSettings, Settings, StatesSettings
+from mavins.estimator.settings import (
+    GnssSettings,
+    HeadingSettings,
+    MagnetometerSettings,
+    Settings,
+    StatesSettings,
+)
 from mavins.filters import REGISTRY, RowBlock
 from mavins.nav.earth import TangentFrame
-from mavins.types import FloatArray, GnssFix, HeadingFix, ImuTable
+from mavins.types import BaroSample, FloatArray, GnssFix, HeadingFix, ImuTable, MagSample
 from sitl.imu import ImuSettings, TriadSettings
 from sitl.scenario import load
 from sitl.simulation import Measurements, simulate
 
-Arrival: TypeAlias = int | GnssFix | HeadingFix
+Arrival: TypeAlias = int | GnssFix | HeadingFix | MagSample | BaroSample
 """What arrives: the number of an IMU row, or a measurement."""
 
 DURATION = 22.0
@@ -35,6 +41,16 @@ SETTINGS = Settings(
     heading=HeadingSettings(sigma_deg=2.0),
     # a fix is placed by the delay that is believed when it comes: one that is estimated sees the order of arrival
     states=StatesSettings(gnss_delay="fixed"),
+    # the field made up here is a rough one
+    magnetometer=MagnetometerSettings(
+        enabled=True,
+        delay=HEADING_DELAY,
+        sigma=0.9,
+        rotation=(0.0, 0.0, 0.3),
+        hard_iron=(10.0, 0.0, -5.0),
+        declination_deg=4.0,
+        inclination_deg=60.0,
+    ),
 )
 pytestmark = pytest.mark.jit
 
@@ -53,6 +69,12 @@ def flight() -> Measurements:
     return simulate(scenario, 4, DURATION)
 
 
+def fields() -> list[MagSample]:
+    rng = np.random.default_rng(8)
+    stamps = range(0, round(DURATION * 1e6), 107_000)
+    return [MagSample(t, rng.normal(size=3) * 9.0 + [200.0, 0.0, 350.0]) for t in stamps]
+
+
 def arrivals(
     lateness_us: int = 0, from_us: int = 0, displaced: int = 0, seed: int = 0
 ) -> list[Arrival]:
@@ -66,6 +88,7 @@ def arrivals(
     timed: list[tuple[int, int, Arrival]]
     timed = [(int(m.imu.t_us[k]), 0, row) for k, row in enumerate(rows)]
     timed += [(h.t_us, 1, dataclasses.replace(h, delay=HEADING_DELAY)) for h in m.headings]
+    timed += [(field.t_us, 3, field) for field in fields()]
     for fix in m.fixes:
         late = lateness_us if fix.t_us >= from_us else 0
         timed.append((fix.t_us + late, 2, dataclasses.replace(fix, delay=DELAY)))
@@ -122,6 +145,10 @@ def run(filter_name: str, stream: Sequence[Arrival], sizes: Iterator[int]) -> Ou
             estimator.feed_imu(ImuTable(imu.t_us[k], imu.accel_b[k], imu.gyro_b[k]))
         elif isinstance(what, GnssFix):
             estimator.feed_gnss(what)
+        elif isinstance(what, MagSample):
+            estimator.feed_mag(what)
+        elif isinstance(what, BaroSample):
+            estimator.feed_baro(what)
         else:
             estimator.feed_heading(what)
     estimator.finish()
@@ -129,6 +156,14 @@ def run(filter_name: str, stream: Sequence[Arrival], sizes: Iterator[int]) -> Ou
     assert solution is not None
     x = np.concatenate([solution.p_n, solution.v_n, solution.q_nb, solution.b_g, solution.b_a])
     return Outcome(rows, decisions, x, solution.P, estimator.reset_counter)
+
+
+def with_baro(stream: Sequence[Arrival]) -> Iterator[Arrival]:
+    """An altitude after each fix. Its level is learnt in the order of arrival: a late fix does change it."""
+    for what in stream:
+        yield what
+        if isinstance(what, GnssFix):
+            yield BaroSample(what.t_us, what.alt - 30.0)
 
 
 def ones() -> Iterator[int]:
@@ -159,10 +194,10 @@ STREAMS = {
 @pytest.mark.parametrize("filter_name", REGISTRY)
 @pytest.mark.parametrize("stream", STREAMS)
 def test_grouping_changes_nothing(filter_name: str, stream: str) -> None:
-    order = arrivals(**STREAMS[stream], seed=1)
+    order = list(with_baro(arrivals(**STREAMS[stream], seed=1)))
     single = run(filter_name, order, ones())
     assert len(single.rows) > 600
-    assert len({d[1] for d in single.decisions}) == 4
+    assert len({d[1] for d in single.decisions}) == 6
     for sizes in (alls(), random_sizes(1), random_sizes(2)):
         other = run(filter_name, order, sizes)
         assert other.decisions == single.decisions

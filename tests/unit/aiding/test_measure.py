@@ -10,14 +10,17 @@ from numpy.testing import assert_allclose
 
 from mavins.aiding import (
     REGISTRY,
+    baro,
     gnss_position,
     gnss_velocity,
+    gravity_tilt,
     heading,
     magnetometer,
+    nonholonomic,
     zero_rate,
     zero_velocity,
 )
-from mavins.nav.earth import TangentFrame
+from mavins.nav.earth import TangentFrame, gravity_n
 from mavins.nav.so3 import dcm_to_quat, euler_to_quat, quat_mul, quat_to_dcm
 from mavins.types import GnssFix, HeadingFix, Origin
 
@@ -36,7 +39,17 @@ def state(yaw: float = 0.0) -> np.ndarray:
 
 
 def test_ranks_order_the_measurements_of_one_instant() -> None:
-    modules = (gnss_position, gnss_velocity, heading, zero_velocity, magnetometer, zero_rate)
+    modules = (
+        gnss_position,
+        gnss_velocity,
+        heading,
+        zero_velocity,
+        magnetometer,
+        zero_rate,
+        baro,
+        gravity_tilt,
+        nonholonomic,
+    )
     assert [m.RANK for m in modules] == list(range(len(modules)))
     assert sorted(m.NAME for m in modules) == sorted(REGISTRY)
 
@@ -132,8 +145,53 @@ def test_zero_rate_leaves_the_bias_of_a_gyro_that_sees_the_earth_turn() -> None:
     reading = x[10:13] + quat_to_dcm(x[6:10]).T @ FRAME.w_ie_n
     m = zero_rate.measure(2_000_000, 1_750_000, reading, FRAME, 0.02, 5.0)
     assert (m.stamp_us, m.t_us) == (2_000_000, 1_750_000)
+    assert_allclose(m.R, np.eye(3) * 4e-4)
     r, H = m.model(x, U, m.z, m.parameters)
     assert_allclose(r, 0.0, atol=1e-15)
     assert_allclose(H[:, 9:12], np.eye(3))
     # the reading of this instant has no part in it
     assert_allclose(m.model(x, 2.0 * U, m.z, m.parameters)[0], r)
+
+
+def test_magnetic_field_is_the_reference_turned_into_b() -> None:
+    m_n = np.array([0.3, 0.1, 0.9])
+    x = state()
+    x[6:10] = euler_to_quat(0.2, -0.1, 2.0)
+    m = magnetometer.measure("compass", 7, 5, quat_to_dcm(x[6:10]).T @ m_n, m_n, 0.05, 4.0)
+    assert (m.stamp_us, m.t_us, m.source, m.gate) == (7, 5, "compass", 4.0)
+    assert_allclose(m.R, np.eye(3) * 0.0025)
+    r, H = m.model(x, U, m.z, m.parameters)
+    assert_allclose(r, 0.0, atol=1e-15)
+    # turning about the field itself changes nothing
+    assert_allclose(H[:, 6:9] @ m.z, 0.0, atol=1e-15)
+
+
+def test_baro_is_the_altitude_far_from_the_origin_too() -> None:
+    m = baro.measure(7, 5, 903.0, FRAME, 2.0, 5.0, "baro")
+    x = state()
+    x[:3] = FRAME.from_lla(0.83, 0.2, 900.0)
+    r, H = m.model(x, U, m.z, m.parameters)
+    assert_allclose(r, [3.0], atol=1e-7)
+    assert_allclose(H[0, :3], -FRAME.local_level(0.83, 0.2)[2], atol=1e-12)
+    assert_allclose(m.R, [[4.0]])
+
+
+def test_gravity_tilt_of_a_vehicle_at_rest() -> None:
+    x = state()
+    x[6:10] = euler_to_quat(0.2, -0.1, 2.0)
+    x[13:16] = [0.1, 0.2, -0.1]
+    g_n = gravity_n(x[:3], FRAME.r0_e, FRAME.C_ne)
+    at_rest = quat_to_dcm(x[6:10]).T @ -g_n + x[13:16]
+    m = gravity_tilt.measure(7, 5, at_rest, FRAME, 0.5, 5.0)
+    r, _ = m.model(x, U, m.z, m.parameters)
+    assert_allclose(r, 0.0, atol=1e-12)
+
+
+def test_wheels_swing_the_imu_that_is_not_on_the_axle() -> None:
+    m = nonholonomic.measure(7, 5, np.array([-2.0, 0.0, 0.5]), 0.1, 5.0)
+    x = state(0.7)
+    u = np.array([0.0, 0.0, 0.5, 0.0, 0.0, -9.8])
+    # driving at 8 m/s the IMU, 2 m before the axle, moves to the right with 2 m x 0.5 rad/s
+    x[3:6] = quat_to_dcm(x[6:10]) @ [8.0, 1.0, 0.0]
+    r, _ = m.model(x, u, m.z, m.parameters)
+    assert_allclose(r, 0.0, atol=1e-12)

@@ -10,7 +10,13 @@ import pytest
 from numpy.testing import assert_allclose
 
 from mavins.estimator.estimator import Estimator
-from mavins.estimator.settings import ImuSettings, Settings, ZeroVelocitySettings
+from mavins.estimator.settings import (
+    GravityTiltSettings,
+    ImuSettings,
+    NonholonomicSettings,
+    Settings,
+    ZeroVelocitySettings,
+)
 from mavins.nav.earth import TangentFrame
 from mavins.nav.so3 import euler_to_quat, quat_to_dcm
 from mavins.types import GnssFix, HeadingFix, Health, ImuTable, NavSolution, Origin
@@ -238,3 +244,21 @@ def test_an_estimate_that_is_not_finite_is_given_up() -> None:
     )
     assert not v.estimator.running
     assert v.estimator.health is Health.DIVERGED
+
+
+def test_habits_are_used_where_they_are_switched_on() -> None:
+    v = Vehicle()
+    v.go(5.0)
+    assert not {"gravity_tilt", "nonholonomic"} & set(v.estimator.statistics)
+    v = Vehicle(
+        Settings(
+            gravity_tilt=GravityTiltSettings(enabled=True),
+            nonholonomic=NonholonomicSettings(enabled=True, lever_arm=(-1.0, 0.0, 0.3)),
+        )
+    )
+    v.go(5.0)
+    assert v.estimator.health is Health.RUNNING
+    for name in ("gravity_tilt", "nonholonomic"):
+        statistics = v.estimator.statistics[name]
+        assert statistics.accepted > 5
+        assert not statistics.rejected

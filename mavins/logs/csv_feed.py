@@ -1,0 +1,96 @@
+"""A folder of CSV files into an estimator: every reading at its stamp, as if it came in at that instant."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TypeVar
+
+import numpy as np
+
+from mavins.estimator.feed import Feed
+from mavins.estimator.settings import MagnetometerSettings, Settings
+from mavins.logs.csv_folder import CsvFolder
+from mavins.logs.mag_calibration import calibrate
+from mavins.nav.so3 import euler_to_quat, quat_to_dcm
+from mavins.types import BaroSample, GnssFix, HeadingFix, ImuTable, MagSample
+
+SettingsT = TypeVar("SettingsT", bound=Settings)
+
+
+def settled(settings: SettingsT, folder: CsvFolder) -> SettingsT:
+    """The settings with what is `auto` decided by what the folder holds, the magnetometer's calibration included."""
+    delay = 0.0 if settings.gnss.delay == "auto" else settings.gnss.delay
+    return replace(
+        settings,
+        gnss=replace(settings.gnss, delay=delay),
+        magnetometer=_magnetometer(settings, folder),
+    )
+
+
+def _magnetometer(settings: Settings, folder: CsvFolder) -> MagnetometerSettings:
+    s = settings.magnetometer
+    enabled = s.enabled if s.enabled != "auto" else not folder.headings
+    if not folder.mag or not enabled:
+        return replace(s, enabled=False)
+    if s.rotation == "auto" or s.hard_iron == "auto":
+        C = quat_to_dcm(euler_to_quat(*settings.imu.rotation))
+        found = calibrate(
+            folder.imu.t_us - round((settings.imu.delay) * 1e6),
+            folder.imu.gyro_b @ C.T,
+            np.array([sample.t_us for sample in folder.mag]) - round(s.delay * 1e6),
+            np.array([sample.field for sample in folder.mag]),
+            None if s.rotation == "auto" else s.rotation,
+        )
+        hard_iron = found.hard_iron if s.hard_iron == "auto" else s.hard_iron
+        s = replace(s, rotation=found.rotation, hard_iron=hard_iron)
+    return replace(s, enabled=True)
+
+
+def feed_folder(
+    folder: CsvFolder, estimator: Feed, settings: Settings, progress: Callable[[float], None]
+) -> None:
+    """Feed all tables merged by their stamps, with `settled` settings; at one stamp the IMU comes first."""
+    imu = folder.imu
+    arrivals = _arrivals(folder, settings)
+    arrivals.sort(key=lambda item: item.t_us)
+    ends = imu.t_us.searchsorted([item.t_us for item in arrivals], "right").tolist()
+    fed = 0
+    for item, end in zip(arrivals, ends, strict=True):
+        if end > fed:
+            estimator.feed_imu(_rows(imu, fed, end))
+            fed = end
+            progress(end / len(imu))
+        _feed(estimator, item)
+    if fed < len(imu):
+        estimator.feed_imu(_rows(imu, fed, len(imu)))
+    progress(1.0)
+
+
+def _arrivals(
+    folder: CsvFolder, settings: Settings
+) -> list[GnssFix | HeadingFix | MagSample | BaroSample]:
+    """All measurements with the delays that are configured."""
+    delay = settings.gnss.delay
+    return [
+        *(fix if delay == "auto" else replace(fix, delay=delay) for fix in folder.gnss),
+        *(replace(fix, delay=settings.heading.delay) for fix in folder.headings),
+        *folder.mag,
+        *folder.baro,
+    ]
+
+
+def _feed(estimator: Feed, item: GnssFix | HeadingFix | MagSample | BaroSample) -> None:
+    match item:
+        case GnssFix():
+            estimator.feed_gnss(item)
+        case HeadingFix():
+            estimator.feed_heading(item)
+        case MagSample():
+            estimator.feed_mag(item)
+        case BaroSample():
+            estimator.feed_baro(item)
+
+
+def _rows(imu: ImuTable, first: int, end: int) -> ImuTable:
+    return ImuTable(imu.t_us[first:end], imu.accel_b[first:end], imu.gyro_b[first:end])
