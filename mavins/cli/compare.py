@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -138,7 +139,11 @@ def run_all(
 ) -> Any:
     """(truth, run) of every filter on every flight, one after the other: CPU times are comparable only so."""
     from mavins.evaluation.compare import run as run_filter
+    from mavins.warmup import compile_all
 
+    for name in filters:
+        # what compiles or loads here does not count as the filter's time
+        compile_all(lambda line: print(line, file=sys.stderr, flush=True), name)
     for config, tape, truth in flights:
         for name in filters:
             yield truth, run_filter(name, config, tape, truth, bounds_us)

@@ -416,6 +416,7 @@ class Estimator:
         self._first_delay = fix.delay
         reading = self._line.buffer.reading_at(candidate.t_us)
         state = FilterState(x, P, reading, candidate.t_us)
+        self.filter.adopt(state)
         if complaint := self.filter.complaint(state):
             self.reason = complaint
             return

@@ -137,8 +137,8 @@ def _nees(
 ) -> tuple[IntArray, FloatArray]:
     """The NEES at those instants that have a truth."""
     lla, v_l, q_lb, inside = interpolate_truth(t_us, *truth.columns())
-    whole = np.isfinite(np.column_stack([lla, v_l, q_lb])).all(axis=1)
-    at = np.flatnonzero(inside & whole)
+    known = np.isfinite(np.column_stack([lla, v_l, q_lb])).all(axis=1)
+    at = np.flatnonzero(np.logical_and(inside, known))
     x_true = x[at].copy()
     for row, k in zip(x_true, at.tolist(), strict=True):
         C_ln = frame.local_level(lla[k, 0], lla[k, 1])
