@@ -118,14 +118,12 @@ def gravities(
 
 
 @kernel
-def put_block(
-    M: FloatArray, first: int, second: int, mean: FloatArray, c: int, odd: Vector, even: Vector
-) -> None:
-    """Columns c to c + 2 of the rows `first` and `second` of M <- deviations; `mean` takes its share."""
-    for k in range(3):
-        M[first, c + k] = FIRST * odd[k]
-        M[second, c + k] = SECOND * even[k]
-        mean[c + k] += MEAN * even[k]
+def put_block(M: FloatArray, first: int, second: int, c: int, odd: Vector, even: Vector) -> None:
+    """Columns c to c + 2 of the rows `first` and `second` of M <- deviations."""
+    M[first, c], M[first, c + 1], M[first, c + 2] = FIRST * odd[0], FIRST * odd[1], FIRST * odd[2]
+    M[second, c] = SECOND * even[0]
+    M[second, c + 1] = SECOND * even[1]
+    M[second, c + 2] = SECOND * even[2]
 
 
 @kernel
@@ -133,7 +131,6 @@ def put_moved(
     M: FloatArray,
     first: int,
     second: int,
-    mean: FloatArray,
     i: FloatArray,
     e: FloatArray,
     j: int,
@@ -145,8 +142,8 @@ def put_moved(
     v = (H * e[j, 3], H * e[j, 4], H * e[j, 5])
     odd_p, odd_v = moved(i, p, v, du[0], dg[0])
     even_p, even_v = moved(i, NONE, NONE, du[1], dg[1])
-    put_block(M, first, second, mean, 0, odd_p, even_p)
-    put_block(M, first, second, mean, 3, odd_v, even_v)
+    put_block(M, first, second, 0, odd_p, even_p)
+    put_block(M, first, second, 3, odd_v, even_v)
 
 
 @kernel
@@ -154,9 +151,7 @@ def put_pair(
     M: FloatArray,
     first: int,
     second: int,
-    mean: FloatArray,
     i: FloatArray,
-    C: FloatArray,
     e: FloatArray,
     j: int,
     dg: tuple[Vector, Vector],
@@ -165,9 +160,17 @@ def put_pair(
     theta = (H * e[j, 6], H * e[j, 7], H * e[j, 8])
     w = (-H * e[j, 9], -H * e[j, 10], -H * e[j, 11])
     f = (-H * e[j, 12], -H * e[j, 13], -H * e[j, 14])
-    put_moved(M, first, second, mean, i, e, j, pushed(i, C, theta, w, f), dg)
+    put_moved(M, first, second, i, e, j, pushed(i, theta, w, f), dg)
     odd, even = turned(i, theta, w)
-    put_block(M, first, second, mean, 6, odd, even)
+    put_block(M, first, second, 6, odd, even)
+
+
+@kernel
+def add_mean(mean: FloatArray, M: FloatArray, first: int, end: int) -> None:
+    """Add the share of the second differences M[first:end] to the mean's shift."""
+    for j in range(first, end):
+        for c in range(MOVING):
+            mean[c] += MEAN / SECOND * M[j, c]
 
 
 @kernel
@@ -189,7 +192,6 @@ def walk_noise(noise: FloatArray, k: int, dt: float) -> float:
 @kernel
 def propagate_fully(
     S: FloatArray,
-    i: FloatArray,
     noise: FloatArray,
     scale: float,
     r0_e: FloatArray,
@@ -200,7 +202,7 @@ def propagate_fully(
 
     All states and all noises alike: a pair of sigma points each, both differences, one triangularization.
     """
-    C, M, t, E, mean, a, b, c, _ = work
+    M, t, E, mean, a, b, c, i = work[1:]
     n = S.shape[0]
     walks, rows = n + NOISES, n + NOISES + BIASES
     gravities(S, i, r0_e, C_ne, a, b, c)
@@ -210,14 +212,15 @@ def propagate_fully(
     for j in range(rows):
         if j < n:
             dg = ((a[j], b[j], c[j]), (a[n + j], b[n + j], c[n + j]))
-            put_pair(M, j, rows + j, mean, i, C, S, j, dg)
+            put_pair(M, j, rows + j, i, S, j, dg)
         else:
-            put_pair(M, j, rows + j, mean, i, C, E, j, (NONE, NONE))
+            put_pair(M, j, rows + j, i, E, j, (NONE, NONE))
         for k in range(MOVING, n):
             M[j, k] = S[j, k] if j < n else 0.0
             M[rows + j, k] = 0.0
     for k in range(BIASES):
         M[walks + k, MOVING + k] = walk_noise(noise, k, i[DT])
+    add_mean(mean, M, rows, 2 * rows)
     turn_attitude_deviations(M, 0, 2 * rows, mean[6], mean[7], mean[8])
     triangularize(M, 0, 2 * rows, n - 1, n, t)
     take_triangle(S, M, 0, n - 1, n)
@@ -226,7 +229,6 @@ def propagate_fully(
 @kernel
 def propagate(
     S: FloatArray,
-    i: FloatArray,
     noise: FloatArray,
     scale: float,
     r0_e: FloatArray,
@@ -239,7 +241,7 @@ def propagate(
     deviations of the nine states that move, first those that turn. The accelerometer's noise acts linearly: one point,
     no second difference.
     """
-    C, M, t, E, mean, a, b, c, _ = work
+    M, t, E, mean, a, b, c, i = work[1:]
     n = S.shape[0]
     # where rows of M begin: biases, their walks, then what has a share in the attitude, what has none, and constants
     walks = BIASES
@@ -258,7 +260,7 @@ def propagate(
         mean[k] = 0.0
     for j in range(LINEAR):
         dg = ((a[j], b[j], c[j]), (a[n + j], b[n + j], c[n + j]))
-        put_moved(M, place + j, falling + j, mean, i, S, j, (NONE, NONE), dg)
+        put_moved(M, place + j, falling + j, i, S, j, (NONE, NONE), dg)
     for j in range(LINEAR, n):
         if j < MOVING:
             row = attitude + j - LINEAR
@@ -267,28 +269,29 @@ def propagate(
         else:
             row = constants + j - CORE_SIZE
         dg = ((a[j], b[j], c[j]), (a[n + j], b[n + j], c[n + j]))
-        put_pair(M, row, turning + j, mean, i, C, S, j, dg)
+        put_pair(M, row, turning + j, i, S, j, dg)
         if j >= MOVING:
             for k in range(MOVING, CORE_SIZE):
                 M[row, k] = S[j, k]
     for k in range(3):
-        put_pair(M, gyro + k, gyro_turning + k, mean, i, C, E, k, (NONE, NONE))
+        put_pair(M, gyro + k, gyro_turning + k, i, E, k, (NONE, NONE))
         # linear: the second difference is zero, and overwritten
         put_moved(
             M,
             accel + k,
             walks + k,
-            mean,
             i,
             E,
             3 + k,
-            pushed(i, C, NONE, NONE, (H * E[3 + k, 12], H * E[3 + k, 13], H * E[3 + k, 14])),
+            pushed(i, NONE, NONE, (H * E[3 + k, 12], H * E[3 + k, 13], H * E[3 + k, 14])),
             (NONE, NONE),
         )
     for k in range(BIASES):
         for j in range(CORE_SIZE):
             M[walks + k, j] = 0.0
         M[walks + k, MOVING + k] = walk_noise(noise, k, i[DT])
+    add_mean(mean, M, turning + LINEAR, place)
+    add_mean(mean, M, falling, falling + LINEAR)
     turn_attitude_deviations(M, 0, end, mean[6], mean[7], mean[8])
     triangularize(M, 0, attitude, CORE_SIZE - 1, BIASES, t)
     triangularize(M, walks, place, MOVING - 1, 3, t)

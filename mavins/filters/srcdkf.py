@@ -82,11 +82,11 @@ def step(
             x[2] + 0.5 * dt * x[5],
         )
         g = mechanize(x, phi, dv, dt, r0_e, C_ne, w_ie_n, C)
-        write_interval(i, w0, f0, w1, f1, phi, dv, dt, middle, g, w_ie_n)
+        write_interval(i, w0, f0, w1, f1, phi, dv, dt, middle, g, w_ie_n, C)
         if full:
-            propagate_fully(S, i, noise, scale, r0_e, C_ne, work)
+            propagate_fully(S, noise, scale, r0_e, C_ne, work)
         else:
-            propagate(S, i, noise, scale, r0_e, C_ne, work)
+            propagate(S, noise, scale, r0_e, C_ne, work)
         boxplus(x, mean, columns)
         w0, f0 = w1, f1
     for c in range(6):

@@ -18,15 +18,15 @@ from mavins.nav.kernels import kernel
 from mavins.nav.so3 import exponential, logarithm, product
 from mavins.types import FloatArray
 
-INTERVAL = 32
+INTERVAL = 41
 """What the deviations over one interval have in common is an array of this length: a long tuple is slow to hand on."""
 DT = 0
 W, F, DW, DF, PHI, DV = range(1, 19, 3)
 """W, F, phi and dv as in ins.increments_from_rates, and (dt^2/12) (w0 - w1), (dt^2/12) (f0 - f1)."""
 BACK = 19
 """Exp(-phi)."""
-MIDDLE, GRAVITY, EARTH = 23, 26, 29
-"""The place in n at mid-interval, gravity there, and the Earth rate."""
+MIDDLE, GRAVITY, EARTH, TO_N = 23, 26, 29, 32
+"""The place in n at mid-interval, gravity there, the Earth rate, and C_nb at the start by rows."""
 
 
 @kernel
@@ -57,6 +57,7 @@ def write_interval(
     middle: Vector,
     g: Vector,
     w_ie_n: FloatArray,
+    C: FloatArray,
 ) -> None:
     """C (INTERVAL,) <- the interval with these readings at its ends, which gave the increments (phi, dv)."""
     h = 0.5 * dt
@@ -72,6 +73,8 @@ def write_interval(
     _put(c, MIDDLE, middle)
     _put(c, GRAVITY, g)
     _put(c, EARTH, (w_ie_n[0], w_ie_n[1], w_ie_n[2]))
+    for j in range(9):
+        c[TO_N + j] = C[j // 3, j % 3]
 
 
 @kernel
@@ -85,11 +88,11 @@ def _scaled(s: float, a: Vector) -> Vector:
 
 
 @kernel
-def _to_n(C: FloatArray, a: Vector) -> Vector:
+def _to_n(c: FloatArray, a: Vector) -> Vector:
     return (
-        C[0, 0] * a[0] + C[0, 1] * a[1] + C[0, 2] * a[2],
-        C[1, 0] * a[0] + C[1, 1] * a[1] + C[1, 2] * a[2],
-        C[2, 0] * a[0] + C[2, 1] * a[1] + C[2, 2] * a[2],
+        c[TO_N] * a[0] + c[TO_N + 1] * a[1] + c[TO_N + 2] * a[2],
+        c[TO_N + 3] * a[0] + c[TO_N + 4] * a[1] + c[TO_N + 5] * a[2],
+        c[TO_N + 6] * a[0] + c[TO_N + 7] * a[1] + c[TO_N + 8] * a[2],
     )
 
 
@@ -119,9 +122,7 @@ def turned(c: FloatArray, theta: Vector, w: Vector) -> tuple[Vector, Vector]:
 
 
 @kernel
-def pushed(
-    c: FloatArray, C: FloatArray, theta: Vector, w: Vector, f: Vector
-) -> tuple[Vector, Vector]:
+def pushed(c: FloatArray, theta: Vector, w: Vector, f: Vector) -> tuple[Vector, Vector]:
     """The odd and the even part of du; `w` and `f` are errors of rate and specific force all along.
 
     With a = w dt and b = f dt, W' x F' = W x F +- r1 + r2 where r1 = W x b + a x F and r2 = a x b, and so on.
@@ -143,8 +144,8 @@ def pushed(
     odd_add = _sum(_scaled(e[0], even_once), _cross(axis, odd_once))
     even_add = _sum(_scaled(e[0], odd_once), _cross(axis, even_once))
     return (
-        _to_n(C, _sum(odd, _scaled(2.0, odd_add))),
-        _to_n(C, _sum(even, _scaled(2.0, even_add))),
+        _to_n(c, _sum(odd, _scaled(2.0, odd_add))),
+        _to_n(c, _sum(even, _scaled(2.0, even_add))),
     )
 
 

@@ -273,5 +273,5 @@ def right_jacobian_inv(phi: FloatArray) -> FloatArray:
 @kernel
 def wrap_pi(angle: float) -> float:
     """The angle in (-pi, pi]."""
-    wrapped = angle - 2.0 * math.pi * math.floor((angle + math.pi) / (2.0 * math.pi))
+    wrapped = angle - 2.0 * math.pi * float(np.floor((angle + math.pi) / (2.0 * math.pi)))
     return math.pi if wrapped <= -math.pi else wrapped

@@ -18,9 +18,9 @@ from mavins.filters.settings import SrcdkfSettings
 from mavins.nav.earth import TangentFrame, gravity_n
 from mavins.types import FloatArray, IntArray, Origin
 
-SAMPLES = 50
+SAMPLES = 100
 STEP_US = 4000
-ROUNDS = 2000
+ROUNDS = 1000
 NOISE = ImuNoise(0.015, 0.35, 1e-4, 3e-3)
 VARIANTS = {
     "srcdkf full": ("srcdkf", FilterSettings(srcdkf=SrcdkfSettings(full=True))),

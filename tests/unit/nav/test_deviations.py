@@ -54,13 +54,13 @@ def parts(x: FloatArray, readings: FloatArray, e: FloatArray) -> tuple[FloatArra
     middle = x[:3] + 0.5 * DT * x[3:6]
     _, C, g = after(x, readings)
     c = np.empty(INTERVAL)
-    write_interval(c, w0, f0, w1, f1, phi, dv, DT, vector(middle), vector(g), FRAME.w_ie_n)
+    write_interval(c, w0, f0, w1, f1, phi, dv, DT, vector(middle), vector(g), FRAME.w_ie_n, C)
     assert_array_equal(c[MIDDLE : MIDDLE + 3], middle)
     assert_array_equal(c[GRAVITY : GRAVITY + 3], g)
     shift = e[:3] + 0.5 * DT * e[3:6]
     plus, minus = (gravity_n(middle + s * shift, *EARTH[:2]) - g for s in (1.0, -1.0))
     p, v, theta, w, f = (vector(s * e[3 * k : 3 * k + 3]) for k, s in enumerate((1, 1, 1, -1, -1)))
-    du = pushed(c, C, theta, w, f)
+    du = pushed(c, theta, w, f)
     turn = turned(c, theta, w)
     zero = (0.0, 0.0, 0.0)
     odd = (*moved(c, p, v, du[0], vector(0.5 * (plus - minus))), turn[0])
