@@ -55,7 +55,7 @@ $(VENV)/.core: pyproject.toml | $(VENV)/.made
 
 $(VENV)/.test: pyproject.toml | $(VENV)/.made
 	@echo "installing mavins with its tests' needs into $(VENV) ..."
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[test,acceptance]'
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[report,test,acceptance]'
 	@touch $@ $(VENV)/.core
 
 $(VENV)/.dev: pyproject.toml | $(VENV)/.made
