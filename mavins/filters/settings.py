@@ -45,7 +45,7 @@ class SrcdkfSettings:
     ] = False
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FilterSettings:
     """Settings of single filters."""
 

@@ -197,7 +197,7 @@ def test_grouping_changes_nothing(filter_name: str, stream: str) -> None:
     order = list(with_baro(arrivals(**STREAMS[stream], seed=1)))
     single = run(filter_name, order, ones())
     assert len(single.rows) > 600
-    assert len({d[1] for d in single.decisions}) == 6
+    assert len({d[1] for d in single.decisions}) == 7
     for sizes in (alls(), random_sizes(1), random_sizes(2)):
         other = run(filter_name, order, sizes)
         assert other.decisions == single.decisions

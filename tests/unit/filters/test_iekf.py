@@ -195,7 +195,7 @@ def test_first_iterate_is_the_update_of_the_group(seed: int, side: str) -> None:
     J = np.eye(15)
     J[:9, :9] = left_jacobian(xi[:9] if side == "right" else -xi[:9])
 
-    once = FilterSettings(IteratedSettings(iterations=1))
+    once = FilterSettings(iterated=IteratedSettings(iterations=1))
     make("iekf", NOISE, settings=once).update(state, m, math.inf)
     assert_allclose(element(state.x), chi, atol=1e-8)
     T = canonical(state.x) @ J
@@ -213,7 +213,7 @@ def test_a_far_correction_leaves_position_and_heading_apart() -> None:
     z = x[:3] + np.array([80.0, -60.0, 5.0])
     found = []
     for iterations in (1, 4):
-        settings = FilterSettings(IteratedSettings(iterations=iterations))
+        settings = FilterSettings(iterated=IteratedSettings(iterations=iterations))
         state = FilterState(x.copy(), np.diag(sigma**2), np.zeros(6), 0)
         m = Measurement(
             "gnss_position", 0, "", 0, 0, z, np.eye(3), np.empty(0), gnss_position.model, 5.0

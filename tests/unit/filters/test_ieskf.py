@@ -60,7 +60,9 @@ class Planes:
 
 
 def iterated(iterations: int = 4, threshold: float = 0.01) -> Ieskf:
-    return Ieskf(NOISE, Layout.of(), FilterSettings(IteratedSettings(iterations, threshold)))
+    return Ieskf(
+        NOISE, Layout.of(), FilterSettings(iterated=IteratedSettings(iterations, threshold))
+    )
 
 
 def random_state(seed: int) -> FloatArray:
