@@ -12,6 +12,8 @@ from mavins.filters.settings import FilterSettings
 from mavins.nav.layout import CORE, Layout
 
 Vector3 = tuple[float, float, float]
+_Arm = Annotated[float, Ge(-100), Le(100)]
+LeverArm = tuple[_Arm, _Arm, _Arm]
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +67,7 @@ class GnssSettings:
         Le(2),
         Doc("The same for fixes that are stamped in UTC by the receiver.", "s"),
     ] = 0.0
-    lever_arm: Annotated[Vector3, Doc("From the IMU to the antenna, body frame.", "m")] = (
+    lever_arm: Annotated[LeverArm, Doc("From the IMU to the antenna, body frame.", "m")] = (
         0.0,
         0.0,
         0.0,
@@ -278,7 +280,7 @@ class NonholonomicSettings:
     """A wheeled vehicle moves neither sideways nor up or down at the axle that does not steer."""
 
     enabled: Annotated[bool, Doc("Use it.")] = False
-    lever_arm: Annotated[Vector3, Doc("From the IMU to that axle, body frame.", "m")] = (
+    lever_arm: Annotated[LeverArm, Doc("From the IMU to that axle, body frame.", "m")] = (
         0.0,
         0.0,
         0.0,
