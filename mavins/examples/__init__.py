@@ -16,6 +16,14 @@ REGISTRY: Final[dict[str, tuple[str, str]]] = {
         "mavins.examples.foot_mounted",
         "an IMU on a foot, zero velocity at each step (article 002)",
     ),
+    "no-magnetometer": (
+        "mavins.examples.no_magnetometer",
+        "a heading wrong by 45 deg, found from GNSS in motion (article 003)",
+    ),
+    "iterated": (
+        "mavins.examples.iterated",
+        "a start off by 60 deg and 100 m: iterating converges sooner (article 001)",
+    ),
     "flights": ("mavins.examples.flights", "two real flights through every filter"),
 }
 """Name -> (module, one line for the overview)."""
