@@ -1,0 +1,71 @@
+"""`mavins observe` as a user runs it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from mavins.cli.main import main
+
+pytestmark = [pytest.mark.slow, pytest.mark.jit]
+
+
+def observed(out: Path, *arguments: str) -> dict[str, Any]:
+    assert main(["observe", *arguments, "--out", str(out)]) == 0
+    found: dict[str, Any] = json.loads((out / "observability.json").read_text())
+    return found
+
+
+def ratios(found: dict[str, Any]) -> dict[str, float]:
+    return {state["name"]: state["final_ratio"] for state in found["states"]}
+
+
+def test_a_scenario_with_and_without_heading(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scenario = ["hover", "--duration", "30"]
+    found = observed(tmp_path / "with", *scenario)
+    shown = capsys.readouterr().out
+    assert "theta_b.z" in shown
+    assert "at rest" in shown
+    assert len(found["segments"]) == 3
+    assert (tmp_path / "with" / "observability.png").stat().st_size > 10_000
+    blind = observed(tmp_path / "without", *scenario, "--without", "heading")
+    assert ratios(found)["theta_b.z"] < 0.1
+    assert ratios(blind)["theta_b.z"] > 0.9
+    core = observed(tmp_path / "core", *scenario, "--states", "core")
+    assert len(core["states"]) == 15
+
+
+def test_a_log(tmp_path: Path) -> None:
+    log = tmp_path / "flight.tlog"
+    sitl = ["sitl", "--record", str(log), "--duration", "40", "--speed", "max"]
+    assert main(["-q", *sitl, "--scenario", "quad_mission"]) == 0
+    found = observed(tmp_path, str(log))
+    assert found["segments"][0]["measurements"] > 100
+    # it accelerates and turns: of the lever arm the horizontal part shows
+    assert ratios(found)["l_b.x"] < 0.5
+    short = observed(tmp_path / "short", str(log), "--duration", "8")
+    assert len(short["segments"]) == 1
+    assert ratios(short)["l_b.x"] > 0.9
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (["nowhere"], "nowhere"),
+        (["hover", "--without", "compass"], "compass"),
+        (["hover", "--window", "0"], "--window"),
+        (["hover", "--duration", "nan"], "--duration"),
+    ],
+)
+def test_what_makes_no_sense_is_one_line(
+    arguments: list[str], word: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["observe", *arguments, "--out", str(tmp_path / "out")]) == 2
+    error = capsys.readouterr().err
+    assert word in error
+    assert len(error.splitlines()) == 1
