@@ -6,9 +6,18 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from mavins.cli.main import main
+from mavins.config import Config
+from mavins.estimator.estimator import Estimator, Outputs
+from mavins.evaluation.observability import analyse, prior_sigmas
+from mavins.examples.scenarios import course, flight, matched
+from mavins.filters import RowBlock
+from mavins.nav.earth import TangentFrame
+from mavins.nav.layout import Layout
+from sitl.scenario import load
 
 pytestmark = [pytest.mark.slow, pytest.mark.jit]
 
@@ -69,3 +78,25 @@ def test_what_makes_no_sense_is_one_line(
     error = capsys.readouterr().err
     assert word in error
     assert len(error.splitlines()) == 1
+
+
+def test_the_filter_sees_what_the_analysis_promises() -> None:
+    """On a flight with good gyros process noise hardly matters: the sigmas are halved at the same instants."""
+    config, scenario = Config(), load("quad_mission")
+    settings = matched(config, scenario)
+    analysis = analyse(
+        course(settings, scenario, 40.0), Layout.of(), prior_sigmas(settings), window=10.0
+    )
+    times, sigmas = [], []
+
+    def take(block: RowBlock, _: TangentFrame) -> None:
+        times.append(block.t_us[: block.count].copy())
+        sigmas.append(np.sqrt(np.diagonal(block.P[: block.count], axis1=1, axis2=2)))
+
+    tape, _ = flight(settings, scenario, 0, 40.0)
+    tape.play(Estimator(settings, "eskf", Outputs(200_000, take)))
+    t_us, sigma = np.concatenate(times), np.concatenate(sigmas)
+    for state in ("b_a.x", "b_a.y", "b_a.z"):
+        i = analysis.states.index(state)
+        halved = t_us[np.flatnonzero(sigma[:, i] < 0.5 * analysis.prior[i])[0]]
+        assert abs(halved - analysis.visible_us[i]) < 2_000_000
