@@ -146,15 +146,15 @@ def information(H: FloatArray, R: FloatArray, Phi: FloatArray) -> FloatArray:
     return J.T @ np.linalg.solve(R, J)
 
 
-def spectrum(O: FloatArray, prior: FloatArray) -> tuple[FloatArray, FloatArray]:  # noqa: E741
+def spectrum(gramian: FloatArray, prior: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The singular values (n,) of S O S, falling, and the unit vector (n,) of the smallest, S = diag(prior)."""
-    values, vectors = np.linalg.eigh(O * np.outer(prior, prior))
+    values, vectors = np.linalg.eigh(gramian * np.outer(prior, prior))
     return np.maximum(values[::-1], 0.0), vectors[:, 0]
 
 
-def posterior(O: FloatArray, prior: FloatArray) -> FloatArray:  # noqa: E741
+def posterior(gramian: FloatArray, prior: FloatArray) -> FloatArray:
     """Posterior sigma / prior sigma (n,): sqrt(diag((I + S O S)^-1))."""
-    scaled = np.eye(len(prior)) + O * np.outer(prior, prior)
+    scaled = np.eye(len(prior)) + gramian * np.outer(prior, prior)
     return np.sqrt(np.diagonal(np.linalg.inv(scaled)))
 
 
