@@ -24,6 +24,7 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     "sitl": ("mavins.cli.sitl", "fly the simulator: sensors and truth as MAVLink"),
     "replay": ("mavins.cli.replay", "run the estimator on a log"),
     "compare": ("mavins.cli.compare", "run several filters on the same samples"),
+    "observe": ("mavins.cli.observe", "which states a flight makes observable, and when"),
     "play": ("mavins.cli.play", "send a log's packets into a UDP port at their own pace"),
     "info": ("mavins.cli.info", "show what a log holds"),
     "config": ("mavins.cli.config", "show the configuration as commented YAML, or check a file"),

@@ -9,13 +9,22 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from mavins.aiding import Measurement, gnss_position, gnss_velocity, heading
 from mavins.config import Config
+from mavins.estimator.quality import noise_of
 from mavins.estimator.settings import StatesSettings
 from mavins.evaluation.compare import Truth
+from mavins.evaluation.course import Course
 from mavins.evaluation.tape import Tape
-from mavins.types import GnssFix, HeadingFix, ImuTable, Origin
+from mavins.nav.earth import TangentFrame
+from mavins.nav.layout import X_L, X_P, X_Q, X_SIZE, X_TAU, X_V
+from mavins.types import FloatArray, GnssFix, HeadingFix, ImuTable, IntArray, Origin
+from sitl.rotations import yaws_of
 from sitl.scenario import Scenario
-from sitl.simulation import simulate
+from sitl.simulation import START_US, simulate
+
+COURSE_STEP_US = 10_000
+"""Between the samples of a true course."""
 
 
 def origin_of(scenario: Scenario) -> Origin:
@@ -75,6 +84,60 @@ def flight(config: Config, scenario: Scenario, seed: int, duration: float) -> tu
         np.array([s.q_lb for s in samples]),
     )
     return tape, truth
+
+
+def course(config: Config, scenario: Scenario, duration: float) -> Course:
+    """The true course of a scenario: states without errors, and GNSS and headings at the instants of their validity."""
+    motion = scenario.trajectory()
+    t_us = np.arange(0, round(duration * 1e6) + 1, COURSE_STEP_US, dtype=np.int64)
+    k = motion.at(t_us.astype(np.float64) * 1e-6)
+    x = np.zeros((len(t_us), X_SIZE))
+    x[:, X_P], x[:, X_V], x[:, X_Q] = k.p_n, k.v_n, k.q_nb
+    x[:, X_L] = scenario.gnss.lever_arm
+    x[:, X_TAU] = scenario.gnss.latency
+    u = np.column_stack(motion.inertial(k))
+    lla, v_l, q_lb = motion.local_level(k)
+    stamps = START_US + t_us
+    at_fix = _every(t_us, scenario.gnss.rate)
+    phase = np.mod(t_us[at_fix] * 1e-6, motion.period)
+    out = np.zeros(len(at_fix), dtype=bool)
+    for begin, end in scenario.gnss.outages:
+        out |= (phase >= begin) & (phase < end)
+    measurements: list[Measurement] = []
+    for i in at_fix[~out].tolist():
+        fix = _fix(scenario, int(stamps[i]), lla[i], v_l[i])
+        measurements += _of_fix(config, motion.frame, fix)
+    sigma = math.radians(config.heading.sigma_deg)
+    yaws = yaws_of(q_lb)
+    for i in _every(t_us, scenario.heading.rate).tolist():
+        yaw = HeadingFix(int(stamps[i]), float(yaws[i]))
+        measurements.append(
+            heading.measure(yaw, yaw.t_us, motion.frame, sigma, config.heading.gate)
+        )
+    measurements.sort(key=lambda m: (m.t_us, m.rank))
+    return Course(motion.frame, stamps, x, u, tuple(measurements))
+
+
+def _every(t_us: IntArray, rate: int) -> IntArray:
+    """The samples at or first after the multiples of 1 / rate."""
+    wanted = np.arange(0, int(t_us[-1]) + 1, 1_000_000 // rate)
+    return np.unique(np.searchsorted(t_us, wanted))
+
+
+def _fix(scenario: Scenario, t_us: int, lla: FloatArray, v_l: FloatArray) -> GnssFix:
+    s = scenario.gnss
+    v = (float(v_l[0]), float(v_l[1]), float(v_l[2]))
+    lat, lon, alt = lla.tolist()
+    return GnssFix(
+        t_us, lat, lon, alt, v, s.fix_type, s.satellites, s.sigma_h, s.sigma_v, s.sigma_speed
+    )
+
+
+def _of_fix(config: Config, frame: TangentFrame, fix: GnssFix) -> list[Measurement]:
+    noise, gate = noise_of(fix, config.gnss), config.gnss.gate
+    position = gnss_position.measure(fix, fix.t_us, frame, noise.h, noise.v, gate)
+    velocity = gnss_velocity.measure(fix, fix.t_us, frame, noise.speed, gate)
+    return [position] if velocity is None else [position, velocity]
 
 
 def _rows(imu: ImuTable, start: int, end: int) -> ImuTable:
