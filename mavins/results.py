@@ -1,6 +1,7 @@
 """The result folder: estimates.csv and innovations.csv, written alike by a live service and by a replay.
 
-A replay that smooths adds smoothed.csv, with the columns of estimates.csv. Both hold SI units and radians: p in n, velocity and attitude in the local level frame.
+A replay that smooths adds smoothed.csv, with the columns of estimates.csv. Both hold SI units and radians: p in n,
+velocity and attitude in the local level frame.
 """
 
 from __future__ import annotations
