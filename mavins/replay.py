@@ -16,7 +16,9 @@ from mavins.config import Config, to_yaml
 from mavins.errors import LogFormatError
 from mavins.estimator.estimator import Estimator, Outputs
 from mavins.estimator.feed import Feed
-from mavins.estimator.solution import EULER, LLA, V_L
+from mavins.estimator.history import History
+from mavins.estimator.smoothing import smooth
+from mavins.estimator.solution import EULER, LLA, V_L, WIDTH
 from mavins.evaluation.compare import Truth
 from mavins.evaluation.errors import errors_against
 from mavins.evaluation.tape import Tape
@@ -28,8 +30,8 @@ from mavins.mavlink.codec import IMU_KINDS, Frames, OriginRequest, decode, field
 from mavins.mavlink.intake import RELEVANT, Intake
 from mavins.mavlink.session import sysid_for
 from mavins.mavlink.settings import SessionSettings
-from mavins.results import ResultWriter, write_json, write_text
-from mavins.types import Origin
+from mavins.results import EstimatesFile, ResultWriter, write_json, write_text
+from mavins.types import FloatArray, IntArray, Origin
 
 SET_GPS_GLOBAL_ORIGIN = fields_of("SET_GPS_GLOBAL_ORIGIN").msgid
 CHUNK = 20_000
@@ -39,12 +41,13 @@ CHUNK = 20_000
 @dataclass(frozen=True, slots=True)
 class ReplayOptions:
     """What of the log is written and judged: `start`, `end` in s on the vehicle's boot clock, `rate` in Hz (0: every
-    IMU sample), `sysid` None for the first vehicle that sends an IMU."""
+    IMU sample), `sysid` None for the first vehicle that sends an IMU; `smooth` adds smoothed.csv."""
 
     start: float | None = None
     end: float | None = None
     rate: float = 50.0
     sysid: int | None = None
+    smooth: bool = False
 
 
 def vehicle_of(frames: Frames, wanted: int | None = None) -> int:
@@ -87,7 +90,9 @@ def replay(
     folder = out / config.filter
     with ResultWriter(folder, config.states.layout(), keep=True) as writer:
         writer.bounds_us = bounds
-        outputs = Outputs(grid_us(options.rate), writer.write_rows, writer.write_decision)
+        history = History() if options.smooth else None
+        grid = grid_us(options.rate)
+        outputs = Outputs(grid, writer.write_rows, writer.write_decision, history)
         estimator = Estimator(config, config.filter, outputs)
         source.feed(estimator, progress)
         estimator.finish()
@@ -97,9 +102,12 @@ def replay(
     summary |= source.summary(estimator)
     truth = source.truth
     if truth is not None and len(truth) > 1 and len(t_us):
-        table = _columns(truth)
-        judged = errors_against(t_us, rows[:, LLA], rows[:, V_L], rows[:, EULER], table.columns())
-        summary["truth"] = {"source": truth.source, **judged.summary()}
+        summary["truth"] = {"source": truth.source, **_judged(t_us, rows, truth)}
+    if history is not None:
+        t_us, rows = write_smoothed(folder / "smoothed.csv", estimator, history, bounds)
+        if "truth" in summary:
+            assert truth is not None
+            summary["smoothed"] = _judged(t_us, rows, truth)
     summary["log_s"] = source.seconds
     summary["rows"] = writer.rows
     summary["damage"] = source.damage
@@ -108,6 +116,31 @@ def replay(
     summary["times_real_time"] = source.seconds / summary["cpu_s"]
     write_json(out / "summary.json", summary)
     return summary
+
+
+def write_smoothed(
+    path: Path, estimator: Estimator, history: History, bounds_us: tuple[int, int]
+) -> tuple[IntArray, FloatArray]:
+    """Smooth a finished run and write what lies within the bounds; returns stamps (N,) and rows (N, 31)."""
+    file = EstimatesFile(path, estimator.filter.layout)
+    parts: list[tuple[IntArray, FloatArray]] = []
+    for block, frame in smooth(estimator.filter, history, estimator.settings.gnss.reset_after):
+        inside = (block.t_us >= bounds_us[0]) & (block.t_us <= bounds_us[1])
+        if inside.any():
+            parts.append((block.t_us[inside], file.table(block, frame)[inside]))
+    parts.reverse()
+    for t_us, table in parts:
+        file.write(t_us, table)
+    file.close()
+    times = [np.empty(0, dtype=np.int64), *(t_us for t_us, _ in parts)]
+    rows = [np.empty((0, WIDTH)), *(table[:, :WIDTH] for _, table in parts)]
+    return np.concatenate(times), np.concatenate(rows)
+
+
+def _judged(t_us: IntArray, rows: FloatArray, truth: TruthTable) -> dict[str, Any]:
+    """RMS and largest errors of described rows (N, 31)."""
+    columns = _columns(truth).columns()
+    return errors_against(t_us, rows[:, LLA], rows[:, V_L], rows[:, EULER], columns).summary()
 
 
 class Source(Protocol):

@@ -1,6 +1,7 @@
 """The result folder: estimates.csv and innovations.csv, written alike by a live service and by a replay.
 
-estimates.csv holds SI units and radians: p in n, velocity and attitude in the local level frame.
+A replay that smooths adds smoothed.csv, with the columns of estimates.csv. Both hold SI units and radians: p in n,
+velocity and attitude in the local level frame.
 """
 
 from __future__ import annotations
@@ -48,38 +49,32 @@ _DECISION: Final = [_HEAD + 2 * (",%.9g" * m + "," * (3 - m)) + "\n" for m in ra
 _DEGREES: Final = 180.0 / math.pi
 
 
-class ResultWriter:
-    """Writes rows and decisions as they come; with `keep`, `table` gives the rows back."""
+class EstimatesFile:
+    """A CSV file of estimates, over the states of a layout."""
 
-    def __init__(self, folder: Path, layout: Layout, keep: bool = False) -> None:
+    def __init__(self, path: Path, layout: Layout) -> None:
         self._layout = layout
         self._extra = [name for name in EXTRA if name in layout.blocks]
-        header = ",".join([ESTIMATES, *(EXTRA[name] for name in self._extra)])
-        self._estimates = _open(folder / "estimates.csv", header)
-        self._innovations = _open(folder / "innovations.csv", INNOVATIONS)
-        self._keep = keep
-        self._kept: list[tuple[IntArray, FloatArray]] = []
-        self.rows = 0
-        self.bounds_us: tuple[int, int] | None = None
+        self.file = _open(path, ",".join([ESTIMATES, *(EXTRA[name] for name in self._extra)]))
 
-    def write_rows(self, block: RowBlock, frame: TangentFrame) -> None:
-        """Write the estimates of a block that lie within the bounds."""
-        n = block.count
-        t_us = block.t_us[:n].copy()
-        rows = np.empty((n, WIDTH))
-        describe(block.x[:n], block.P[:n], frame.r0_e, frame.C_ne, rows)
-        extra = self._further(block)
-        if self.bounds_us is not None:
-            inside = (t_us >= self.bounds_us[0]) & (t_us <= self.bounds_us[1])
-            t_us, rows, extra = t_us[inside], rows[inside], extra[inside]
-        self.rows += len(t_us)
-        if self._keep and len(t_us):
-            self._kept.append((t_us, rows.copy()))
-        rows[:, :2] *= _DEGREES
-        table = np.hstack([rows, extra])
-        decimals = np.append(_DECIMALS, np.full(extra.shape[1], 6))
-        with _or_say_so(self._estimates):
-            self._estimates.write(csv_lines(t_us, table, decimals).decode("ascii"))
+    def table(self, block: RowBlock, frame: TangentFrame) -> FloatArray:
+        """A block's estimates as a table (N, 31 + k): described rows, then the further states."""
+        rows = np.empty((block.count, WIDTH))
+        describe(block.x[: block.count], block.P[: block.count], frame.r0_e, frame.C_ne, rows)
+        return np.hstack([rows, self._further(block)])
+
+    def write(self, t_us: IntArray, table: FloatArray) -> None:
+        """Write the rows of a table."""
+        shown = table.copy()
+        shown[:, :2] *= _DEGREES
+        decimals = np.append(_DECIMALS, np.full(table.shape[1] - WIDTH, 6))
+        with _or_say_so(self.file):
+            self.file.write(csv_lines(t_us, shown, decimals).decode("ascii"))
+
+    def close(self) -> None:
+        """Write what is buffered and close the file."""
+        with _or_say_so(self.file):
+            self.file.close()
 
     def _further(self, block: RowBlock) -> FloatArray:
         """The columns of further states (N, k): values, then sigmas, for each block in turn."""
@@ -94,6 +89,30 @@ class ResultWriter:
                     sigmas[:, columns],
                 ]
         return np.hstack(parts)
+
+
+class ResultWriter:
+    """Writes rows and decisions as they come; with `keep`, `table` gives the rows back."""
+
+    def __init__(self, folder: Path, layout: Layout, keep: bool = False) -> None:
+        self._estimates = EstimatesFile(folder / "estimates.csv", layout)
+        self._innovations = _open(folder / "innovations.csv", INNOVATIONS)
+        self._keep = keep
+        self._kept: list[tuple[IntArray, FloatArray]] = []
+        self.rows = 0
+        self.bounds_us: tuple[int, int] | None = None
+
+    def write_rows(self, block: RowBlock, frame: TangentFrame) -> None:
+        """Write the estimates of a block that lie within the bounds."""
+        t_us = block.t_us[: block.count].copy()
+        table = self._estimates.table(block, frame)
+        if self.bounds_us is not None:
+            inside = (t_us >= self.bounds_us[0]) & (t_us <= self.bounds_us[1])
+            t_us, table = t_us[inside], table[inside]
+        self.rows += len(t_us)
+        if self._keep and len(t_us):
+            self._kept.append((t_us, table[:, :WIDTH].copy()))
+        self._estimates.write(t_us, table)
 
     def write_decision(self, event: Event) -> None:
         """Write the final decision on a measurement."""
@@ -115,13 +134,13 @@ class ResultWriter:
 
     def flush(self) -> None:
         """Hand what is buffered to the operating system."""
-        for file in (self._estimates, self._innovations):
+        for file in (self._estimates.file, self._innovations):
             with _or_say_so(file):
                 file.flush()
 
     def close(self) -> None:
         """Write what is buffered and close the files."""
-        for file in (self._estimates, self._innovations):
+        for file in (self._estimates.file, self._innovations):
             with _or_say_so(file):
                 file.close()
 

@@ -19,9 +19,11 @@ examples:
   mavins replay flight.tlog --out result
   mavins replay flight.tlog.xz --out result --start 60 --end 248
   mavins replay flight.tlog --out result --config flight.yaml --rate 0
+  mavins replay flight.tlog --out result --smooth
   mavins replay flight/ --out result    a folder with imu.csv, gnss.csv, mag.csv, ... (.xz, .gz)
 
-writes: OUT/<filter>/estimates.csv, innovations.csv, config.yaml and OUT/summary.json"""
+writes: OUT/<filter>/estimates.csv, innovations.csv, config.yaml and OUT/summary.json;
+with --smooth also OUT/<filter>/smoothed.csv"""
 
 REFERENCE = "reference.csv"
 """What another filter said, not a truth."""
@@ -50,6 +52,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--sysid", type=int, metavar="N", help="the vehicle (default: the first that sends an IMU)"
     )
+    parser.add_argument(
+        "--smooth",
+        action="store_true",
+        help="also write smoothed.csv: estimates that know what came later (Rauch-Tung-Striebel)",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -61,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
 
     overrides = {} if args.filter is None else {"filter": args.filter}
     config = load(args.config, overrides)
-    options = ReplayOptions(args.start, args.end, args.rate, args.sysid)
+    options = ReplayOptions(args.start, args.end, args.rate, args.sysid, args.smooth)
     with progress_bar(f"replay {args.log.name}", 1.0, quiet=args.verbosity < 0) as report:
         summary = replay(args.log, args.out, config, options, report)
     if args.verbosity >= 0:
@@ -95,16 +102,25 @@ def lines_of(summary: dict[str, Any], out: Path) -> list[str]:
     if truth and "rms" in truth:
         word = "difference to" if truth["source"] == REFERENCE else "error against"
         lines.append(f"{word} {truth['source']}     RMS                      max")
-        units = {
-            "pos_m": "position N/E/D m",
-            "vel_m_s": "velocity N/E/D m/s",
-            "att_deg": "roll/pitch/yaw deg",
-        }
-        for key, label in units.items():
-            if key not in truth["rms"]:
-                continue
-            rms = "/".join(f"{v:.3f}" for v in truth["rms"][key])
-            largest = "/".join(f"{v:.3f}" for v in truth["max"][key])
-            lines.append(f"  {label:<20} {rms:<24} {largest}")
+        lines += _errors_of(truth)
+        if "rms" in summary.get("smoothed", {}):
+            lines.append("smoothed")
+            lines += _errors_of(summary["smoothed"])
     lines.append(f"written to {out}")
+    return lines
+
+
+def _errors_of(judged: dict[str, Any]) -> list[str]:
+    """RMS and largest errors, a line for each quantity there is."""
+    units = {
+        "pos_m": "position N/E/D m",
+        "vel_m_s": "velocity N/E/D m/s",
+        "att_deg": "roll/pitch/yaw deg",
+    }
+    lines = []
+    for key, label in units.items():
+        if key in judged["rms"]:
+            rms = "/".join(f"{v:.3f}" for v in judged["rms"][key])
+            largest = "/".join(f"{v:.3f}" for v in judged["max"][key])
+            lines.append(f"  {label:<20} {rms:<24} {largest}")
     return lines

@@ -30,6 +30,7 @@ from mavins.estimator.barometer import Barometer
 from mavins.estimator.compass import Compass
 from mavins.estimator.fusion import Event, Fusion, Track
 from mavins.estimator.gate import gate_threshold
+from mavins.estimator.history import History
 from mavins.estimator.imu_rows import TICK_US, run_end, to_body, turn_of
 from mavins.estimator.latency import delay_parameters
 from mavins.estimator.pseudo import gravity_tilt_at, nonholonomic_at
@@ -69,12 +70,14 @@ YAW_SIGMA = math.radians(8.0)
 class Outputs:
     """Where results go: rows of estimates and final decisions.
 
-    `grid_us` is the time grid of the rows in us; 0: every IMU sample, negative: none.
+    `grid_us` is the time grid of the rows in us; 0: every IMU sample, negative: none. `history` takes what a smoother
+    needs.
     """
 
     grid_us: int = -1
     rows: Callable[[RowBlock, TangentFrame], None] | None = None
     decision: Callable[[Event], None] | None = None
+    history: History | None = None
 
 
 class Estimator:
@@ -275,7 +278,14 @@ class Estimator:
     def _new_line(self) -> Timeline:
         fusion = Fusion(self.filter, self.settings.gnss.reset_after)
         outputs = self._outputs
-        return Timeline(self.filter, fusion, self._buffer_us, outputs.grid_us, outputs.rows)
+        return Timeline(
+            self.filter,
+            fusion,
+            self._buffer_us,
+            outputs.grid_us,
+            outputs.rows,
+            outputs.history,
+        )
 
     def _take_rows(self, t_us: IntArray, imu: FloatArray, newest: int | None) -> None:
         """Append rows, of which only the last may have passed a tick, and move the estimate through them."""

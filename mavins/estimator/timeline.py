@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from bisect import bisect_right, insort
 from collections.abc import Callable
-from typing import NamedTuple
 
 from mavins.aiding import Measurement
 from mavins.estimator.buffer import ImuBuffer
 from mavins.estimator.fusion import Event, Fusion, Track
+from mavins.estimator.history import History, Snapshot
 from mavins.filters import Filter, FilterState, RowBlock
 from mavins.nav.earth import TangentFrame
 from mavins.types import FloatArray, IntArray
@@ -25,13 +25,7 @@ ROWS_HELD = 512
 """Output rows are handed over in blocks; `flush` hands over what there is."""
 
 
-class _Snapshot(NamedTuple):
-    t_us: int
-    state: FilterState
-    track: Track
-
-
-def _time_of(item: _Snapshot) -> int:
+def _time_of(item: Snapshot) -> int:
     return item.t_us
 
 
@@ -53,6 +47,7 @@ class Timeline:
         buffer_us: int,
         grid_us: int,
         rows: Callable[[RowBlock, TangentFrame], None] | None,
+        history: History | None = None,
     ) -> None:
         self.buffer = ImuBuffer()
         self.state: FilterState | None = None
@@ -62,9 +57,10 @@ class Timeline:
         self._buffer_us = buffer_us
         self._grid_us = grid_us
         self._write = rows
+        self._history = history
         self._rows = RowBlock.empty(ROWS_HELD, algorithm.layout.size)
         self._events: list[Event] = []
-        self._snapshots: list[_Snapshot] = []
+        self._snapshots: list[Snapshot] = []
         self._sequence = 0
 
     def begin(self, state: FilterState, frame: TangentFrame, track: Track) -> None:
@@ -72,7 +68,8 @@ class Timeline:
         self._filter.adopt(state)
         self.state, self.frame = state, frame
         self.fusion.track = track
-        self._snapshots = [_Snapshot(state.t_us, state.copy(), track)]
+        self._snapshots = [Snapshot(state.t_us, state.copy(), track)]
+        self._tell_start(frame)
         self._run(self.buffer.row_after(state.t_us), -1)
 
     def change_frame(self, frame: TangentFrame) -> list[Event]:
@@ -83,13 +80,15 @@ class Timeline:
         self.frame = frame
         if self.state is not None:
             self._filter.adopt(self.state)
-            self._snapshots = [_Snapshot(self.state.t_us, self.state.copy(), self.fusion.track)]
+            self._snapshots = [Snapshot(self.state.t_us, self.state.copy(), self.fusion.track)]
+            self._tell_start(frame)
         return decided
 
     def append(self, t_us: IntArray, imu: FloatArray) -> None:
         """Add IMU rows that follow the newest, and move the state through them."""
         self.buffer.append(t_us, imu)
         if self.state is not None:
+            self._tell_rows(t_us, imu)
             self._run(self.buffer.end - len(t_us), self._grid_us)
 
     def insert(self, t_us: int, reading: FloatArray) -> str:
@@ -101,6 +100,7 @@ class Timeline:
             return "IMU too old"
         row = buffer.insert(t_us, reading)
         if self.state is not None:
+            self._tell_rows(buffer.times(row, row + 1), buffer.readings(row, row + 1))
             # from the row before: between it and this one, readings lay on another line
             before = int(buffer.times(row - 1, row)[0]) if row > buffer.first else t_us
             self._rewind(before + 1)
@@ -135,24 +135,38 @@ class Timeline:
             del self._snapshots[:i]
         reachable = min(horizon, self._snapshots[0].t_us) if self._snapshots else horizon
         self.buffer.drop_before(reachable - window_us)
-        if not self._events or self._events[0].order[0] >= reachable:
-            return []
         final = bisect_right(self._events, reachable - 1, key=_event_time)
         decided = self._events[:final]
         del self._events[:final]
+        if self._history is not None and self._snapshots:
+            self._history.final(self._snapshots[0], decided)
         return decided
 
     def end(self) -> list[Event]:
         """All decisions that are still open; measurements that wait for IMU samples are given up."""
         decided = [event for event in self._events if len(event.innovation)]
         self._events.clear()
+        if self._history is not None and self.state is not None:
+            self._history.decided(decided)
         return decided
 
     def flush(self) -> None:
         """Hand over the output rows that are held."""
         if self._rows.count and self._write is not None and self.frame is not None:
             self._write(self._rows, self.frame)
+        if self._rows.count and self._history is not None:
+            self._history.wrote(self._rows.t_us[: self._rows.count])
         self._rows.count = 0
+
+    def _tell_start(self, frame: TangentFrame) -> None:
+        if self._history is not None:
+            start, buffer = self._snapshots[0], self.buffer
+            first, end = buffer.row_after(start.t_us), buffer.end
+            self._history.begin(start, frame, buffer.times(first, end), buffer.readings(first, end))
+
+    def _tell_rows(self, t_us: IntArray, imu: FloatArray) -> None:
+        if self._history is not None:
+            self._history.rows(t_us, imu)
 
     def _fuse_now(self, state: FilterState, event: Event) -> None:
         """Fuse the last event of all at the newest row, where the state already is: nothing is to be run again.
@@ -231,4 +245,4 @@ class Timeline:
 
     def _snapshot(self, state: FilterState) -> None:
         if not self._snapshots or state.t_us - self._snapshots[-1].t_us >= SNAPSHOT_US:
-            self._snapshots.append(_Snapshot(state.t_us, state.copy(), self.fusion.track))
+            self._snapshots.append(Snapshot(state.t_us, state.copy(), self.fusion.track))

@@ -133,6 +133,31 @@ def test_a_replay(tmp_path: Path) -> None:
 
 
 @pytest.mark.jit
+def test_a_smoothed_replay(tmp_path: Path) -> None:
+    """The same columns and instants; a request for another origin in the middle breaks nothing."""
+    items: list[Any] = still(8.0)
+    items.insert(len(items) * 3 // 4, (7_000_000, origin(0, LAT + 1e-6)))
+    log = log_of(tmp_path / "still.tlog", items)
+    summary = replay(log, tmp_path / "out", Config(), ReplayOptions(start=4.5, smooth=True))
+    tables = []
+    for name in ("estimates", "smoothed"):
+        lines = (tmp_path / f"out/eskf/{name}.csv").read_text().splitlines()
+        tables.append((lines[0], np.array([row.split(",") for row in lines[1:]], dtype=float)))
+    (header, rows), (smoothed_header, smoothed) = tables
+    assert smoothed_header == header
+    np.testing.assert_array_equal(smoothed[:, 0], rows[:, 0])
+    assert len(rows) == summary["rows"] > 100
+    sigmas = slice(16, 25)
+    assert np.all(smoothed[:, sigmas] <= rows[:, sigmas] + 1e-6)
+    assert smoothed[0, 16] < 0.8 * rows[0, 16]
+    # each origin's rows are smoothed on their own, and end where the filter does
+    for k in (np.flatnonzero(np.diff(rows[:, 4]) < -3.0)[0], -1):
+        np.testing.assert_allclose(smoothed[k], rows[k], rtol=1e-6, atol=2e-6)
+    assert set(summary["smoothed"]) == {"instants", "rms", "max"}
+    assert max(summary["smoothed"]["rms"]["pos_m"]) < 0.1
+
+
+@pytest.mark.jit
 def test_a_log_without_an_estimate_says_why(tmp_path: Path) -> None:
     log = log_of(tmp_path / "nofix.tlog", still(4.0, fix_type=1))
     summary = replay(log, tmp_path / "out", Config(), ReplayOptions())
@@ -140,6 +165,8 @@ def test_a_log_without_an_estimate_says_why(tmp_path: Path) -> None:
     assert summary["health"] == "waiting"
     assert "no 3D fix" in summary["reason"]
     assert "truth" not in summary
+    summary = replay(log, tmp_path / "out", Config(), ReplayOptions(smooth=True))
+    assert len((tmp_path / "out/eskf/smoothed.csv").read_text().splitlines()) == 1
 
 
 @pytest.mark.jit

@@ -134,7 +134,7 @@ def test_a_full_disk_is_said_in_one_line(tmp_path: Path) -> None:
 
     writer = ResultWriter(tmp_path, Layout.of())
     writer._estimates.close()
-    writer._estimates = Full()  # type: ignore[assignment]
+    writer._estimates.file = Full()  # type: ignore[assignment]
     with pytest.raises(OutputError, match=r"estimates.csv: No space left"):
         writer.write_rows(block([1]), FRAME)
 
