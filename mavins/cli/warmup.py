@@ -8,11 +8,13 @@ import time
 
 from mavins.filters import REGISTRY
 
-SUMMARY = "Compile every kernel and keep the result, so that later starts take a second or two."
+SUMMARY = "Compile every kernel that a filter uses and keep the result, so that later starts take a second or two."
+
+ALL = "all"
 
 EPILOG = """\
 examples:
-  mavins warmup --filter eskf                only what this filter uses
+  mavins warmup --filter all                 for every filter, some minutes
   mavins warmup                              into $MAVINS_CACHE or the user's cache folder
   MAVINS_CACHE=/var/cache/mavins mavins warmup"""
 
@@ -21,9 +23,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument(
         "--filter",
-        choices=list(REGISTRY),
+        choices=[*REGISTRY, ALL],
+        default=next(iter(REGISTRY)),
         metavar="NAME",
-        help=f"for one filter (default: all): {', '.join(REGISTRY)}",
+        help=f"for this filter (default: %(default)s): {', '.join(REGISTRY)}, or {ALL}",
     )
 
 
@@ -36,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
             print(step, file=sys.stderr, flush=True)
 
     start = time.monotonic()
-    for name in [args.filter] if args.filter else REGISTRY:
+    for name in REGISTRY if args.filter == ALL else [args.filter]:
         compile_all(report, name)
     report(f"ready after {time.monotonic() - start:.1f} s")
     return 0
