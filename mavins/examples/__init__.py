@@ -16,6 +16,10 @@ REGISTRY: Final[dict[str, tuple[str, str]]] = {
         "mavins.examples.foot_mounted",
         "an IMU on a foot, zero velocity at each step (article 002)",
     ),
+    "lever-and-delay": (
+        "mavins.examples.lever_and_delay",
+        "the antenna's place and the delay of GNSS, found in flight (article 004)",
+    ),
     "flights": ("mavins.examples.flights", "two real flights through every filter"),
 }
 """Name -> (module, one line for the overview)."""
