@@ -61,7 +61,7 @@ from mavins.nav.layout import (
     Layout,
 )
 from mavins.nav.so3 import dcm_to_quat, euler_to_quat, quat_exp, quat_mul, quat_to_dcm
-from mavins.types import FloatArray, Origin
+from mavins.types import FloatArray, IntArray, Origin
 
 LEVER_SIGMA: Final = 3.0
 DELAY_SIGMA: Final = 0.1
@@ -196,7 +196,7 @@ def _seeds(way: Way, say: Callable[[str], None]) -> None:
             if system.offsets:
                 levers.append(track.lever[0] - LEVER_B)
                 delays.append(track.delay[0] - DELAY)
-            at = np.arange(SETTLED, len(flight.lla), SPARSE)
+            at = np.arange(SETTLED, len(flight.lla), SPARSE, dtype=np.int64)
             e = errors(true_states(flight, track.frame, at), track.rows.x[at, :X_SIZE])
             values.append(nees(e, track.rows.P[at]))
         yaw, sd_yaw = np.median(yaws, axis=0)
@@ -227,7 +227,12 @@ def navigate(system: System, flight: Flight, error: FloatArray) -> Track:
     fixes = np.array([frame.from_lla(*place) for place in flight.fix_lla])
     if system.velocity:
         fixes = np.hstack([fixes, flight.fix_v_l])
-    around = np.array([surroundings(*p, frame.r0_e, frame.C_ne) for p in flight.fix_lla])
+    around = np.array(
+        [
+            surroundings(lat, lon, alt, frame.r0_e, frame.C_ne)
+            for lat, lon, alt in flight.fix_lla.tolist()
+        ]
+    )
     count = len(flight.increments) // ROWS_EVERY
     rows = RowBlock(
         np.empty(count, dtype=np.int64),
@@ -257,7 +262,7 @@ def navigate(system: System, flight: Flight, error: FloatArray) -> Track:
         rows.u,
         rows.P,
     )
-    at = np.arange(count - JUDGED, count)
+    at = np.arange(count - JUDGED, count, dtype=np.int64)
     last = errors(true_states(flight, frame, at), rows.x[at, :X_SIZE])
     return Track(frame, rows, last)
 
@@ -267,7 +272,7 @@ def start(
 ) -> tuple[FloatArray, FloatArray]:
     """(x, P) over all canonical errors and those of the GNSS noise: the truth plus an error, lever arm and delay 0."""
     x = np.zeros(X_SIZE + len(noise_sigma))
-    x[:X_SIZE] = true_states(flight, frame, np.array([0]))[0]
+    x[:X_SIZE] = true_states(flight, frame, np.zeros(1, dtype=np.int64))[0]
     x[X_P] += error[:3]
     x[X_V] += error[3:6]
     x[X_Q] = quat_mul(quat_exp(error[6:9]), x[X_Q])
@@ -285,7 +290,7 @@ def start(
     return x, P
 
 
-def true_states(flight: Flight, frame: TangentFrame, at: FloatArray) -> FloatArray:
+def true_states(flight: Flight, frame: TangentFrame, at: IntArray) -> FloatArray:
     """The nominal states (K, 20) that rows `at` (K,) of the truth are, with zero biases."""
     x = np.zeros((len(at), X_SIZE))
     for state, k in zip(x, at.tolist(), strict=True):
