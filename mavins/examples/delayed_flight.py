@@ -34,10 +34,12 @@ SETTING: Final[dict[str, Any]] = {
     "magnetometer.sigma": 0.05,
     "magnetometer.rotation": (0.0, 0.0, 0.0),
     "magnetometer.hard_iron": (0.0, 0.0, 0.0),
-    "magnetometer.date": 2025.1,
+    "magnetometer.declination_deg": 12.65,
+    "magnetometer.inclination_deg": -66.04,
 }
 """The magnetometer stands by its own figures: .10 s late, known to half of that, on a vehicle that turns at up to
-1 rad/s. That is .05; the scatter of its readings while it stands, .0006, is nothing beside it."""
+1 rad/s. That is .05; the scatter of its readings while it stands, .0006, is nothing beside it. The field's direction
+is that of the World Magnetic Model at the place, February 2025."""
 DELAY: Final = 0.18
 LEARNT_US: Final = 159_000_000
 BOUNDS_US: Final = (70_000_000, 248_000_000)
