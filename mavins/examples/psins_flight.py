@@ -1,7 +1,4 @@
-"""Further runs of the PSINS scenario: the way that its segments make, as ideal sensors feel it, and noise of their own.
-
-Theory: docs/tutorials/lever-and-delay.md.
-"""
+"""Further runs of the PSINS scenario: the way that its segments make, as ideal sensors feel it, and noise of their own."""
 
 from __future__ import annotations
 
