@@ -1,4 +1,4 @@
-"""Further runs of the PSINS scenario: the way that its segments make, as ideal sensors feel it, and noise of their own."""
+"""Further runs of the PSINS scenario: the way of its segments, as ideal sensors feel it, and noise of their own."""
 
 from __future__ import annotations
 
