@@ -196,7 +196,10 @@ class MagnetometerSettings:
 
     enabled: Annotated[
         Literal["auto"] | bool,
-        Doc("Use it; auto: where a folder of CSV files has mag.csv and no heading.csv."),
+        Doc(
+            "Use it: mag.csv in a folder of CSV files, over MAVLink what the IMU message carries beside the IMU; "
+            "auto: where a folder has mag.csv and no heading.csv."
+        ),
     ] = "auto"
     delay: Annotated[
         float, Ge(-1), Le(2), Doc("A reading was valid this long before its stamp.", "s")

@@ -24,6 +24,10 @@ REGISTRY: Final[dict[str, tuple[str, str]]] = {
         "mavins.examples.iterated",
         "a start off by 60 deg and 100 m: iterating converges sooner (article 001)",
     ),
+    "lever-and-delay": (
+        "mavins.examples.lever_and_delay",
+        "the antenna's place and the delay of GNSS, found in flight (article 004)",
+    ),
     "flights": ("mavins.examples.flights", "two real flights through every filter"),
 }
 """Name -> (module, one line for the overview)."""

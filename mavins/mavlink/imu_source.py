@@ -14,6 +14,7 @@ from mavins.mavlink.codec import (
     Frames,
     ImuMessage,
     decode,
+    decode_fields,
     decode_imu,
 )
 from mavins.types import FloatArray, IntArray
@@ -27,28 +28,33 @@ IMU_IDS: Final = np.array(sorted(IMU_KINDS), dtype=np.int64)
 
 @dataclass(frozen=True, slots=True)
 class Samples:
-    """IMU samples of packets `at` (N,): stamps as sent, SI readings (N, 3), reception stamps (us)."""
+    """IMU samples of packets `at` (N,): stamps as sent, SI readings (N, 3), reception stamps (us).
+
+    `field` (N, 3) is the magnetometer in the same packets, NaN where it has no reading; None if it is not asked for.
+    """
 
     at: IntArray
     stamp_us: IntArray
     accel_b: FloatArray
     gyro_b: FloatArray
     received_us: IntArray
+    field: FloatArray | None = None
 
 
 class ImuSource:
     """The message, sensor and component that a vehicle's samples are taken from.
 
     `chosen` is (message id, sensor id) once it is known; `compid` is the component of the first IMU message;
-    `first_us` and `newest_us` are reception stamps.
+    `first_us` and `newest_us` are reception stamps. `with_field` asks for the magnetometer in the same message, too.
     """
 
-    def __init__(self, dropped: Counter[str]) -> None:
+    def __init__(self, dropped: Counter[str], with_field: bool = False) -> None:
         self.chosen: tuple[int, int] | None = None
         self.compid: int | None = None
         self.first_us: int | None = None
         self.newest_us = 0
         self._dropped = dropped
+        self._with_field = with_field
         self._seen: dict[int, int] = {}
 
     @property
@@ -96,12 +102,14 @@ class ImuSource:
             return None
         received_us = frames.t_us[i : i + 1]
         self.newest_us = int(received_us[0])
+        at = np.array([i], dtype=np.int64)
         return Samples(
-            np.array([i], dtype=np.int64),
+            at,
             np.array([message.stamp_us], dtype=np.int64),
             message.accel_b[np.newaxis],
             message.gyro_b[np.newaxis],
             received_us,
+            decode_fields(frames, at) if self._with_field else None,
         )
 
     def samples(self, frames: Frames, at: IntArray) -> Samples:
@@ -121,4 +129,5 @@ class ImuSource:
         received_us = frames.t_us[at]
         if len(at):
             self.newest_us = int(received_us[-1])
-        return Samples(at, stamp_us, accel_b, gyro_b, received_us)
+        field = decode_fields(frames, at) if self._with_field else None
+        return Samples(at, stamp_us, accel_b, gyro_b, received_us, field)

@@ -33,7 +33,7 @@ from mavins.mavlink.codec import (
 from mavins.mavlink.codec.framing import gather
 from mavins.mavlink.imu_source import IMU_IDS, ImuSource, Samples
 from mavins.mavlink.sources import Sources, SourceSettings, resolve
-from mavins.types import FloatArray, GnssFix, HeadingFix, ImuTable, IntArray
+from mavins.types import FloatArray, GnssFix, HeadingFix, ImuTable, IntArray, MagSample
 
 HEARTBEAT_WAIT_US: Final = 3_000_000
 """A vehicle without a HEARTBEAT for this long is taken for one that sends raw sensors."""
@@ -96,7 +96,7 @@ class Intake:
         self.autopilot: int | None = None
         self.counts: Counter[str] = Counter()
         self.dropped: Counter[str] = Counter()
-        self.imu = ImuSource(self.dropped)
+        self.imu = ImuSource(self.dropped, estimator.settings.magnetometer.enabled is True)
         self.reboots = 0
         self.last_fix: GnssFix | None = None
         self._settings = settings
@@ -106,6 +106,7 @@ class Intake:
         self._fix_stamps: deque[int] = deque(maxlen=REMEMBERED)
         self._heading_stamps: deque[int] = deque(maxlen=REMEMBERED)
         self._heading_stamp: int | None = None
+        self._field_us: int | None = None
         self._handlers: dict[str, Callable[[Any, int], None]] = {
             "HEARTBEAT": self._heartbeat,
             "SYSTEM_TIME": self._system_time,
@@ -203,26 +204,61 @@ class Intake:
         received_us = samples.received_us[part]
         accel_b, gyro_b = samples.accel_b[part], samples.gyro_b[part]
         times = self.clock.map_imu(samples.stamp_us[part], received_us, self.imu.wraps)
+        field = None if samples.field is None else samples.field[part]
         if times.regular:
-            self.estimator.feed_imu(ImuTable(times.t_us, accel_b, gyro_b))
+            self._feed(times.t_us, accel_b, gyro_b, field)
         else:
             self.dropped["IMU zero stamp"] += times.zero_stamps
             self.dropped["IMU wild stamp"] += times.wild_stamps
-            self._place_around_events(times, accel_b, gyro_b)
+            self._place_around_events(times, accel_b, gyro_b, field)
         if self.sources is None and self.imu.first_us is not None:
             waited_us = int(received_us[-1]) - self.imu.first_us
             if waited_us > HEARTBEAT_WAIT_US:
                 self._resolve(_MAV_AUTOPILOT_INVALID)
 
+    def _feed(
+        self, t_us: IntArray, accel_b: FloatArray, gyro_b: FloatArray, field: FloatArray | None
+    ) -> None:
+        """Hand samples over, and behind each that brings a magnetometer reading that is due, the reading."""
+        start = 0
+        for end in [] if field is None else self._due(t_us, field):
+            rows = slice(start, end + 1)
+            self.estimator.feed_imu(ImuTable(t_us[rows], accel_b[rows], gyro_b[rows]))
+            assert field is not None
+            self.estimator.feed_mag(MagSample(int(t_us[end]), field[end], self.imu.name))
+            start = end + 1
+        if start < len(t_us):
+            self.estimator.feed_imu(ImuTable(t_us[start:], accel_b[start:], gyro_b[start:]))
+
+    def _due(self, t_us: IntArray, field: FloatArray) -> list[int]:
+        """The rows whose reading follows the last one no sooner than the settings allow."""
+        interval = 0.95e6 / self.estimator.settings.magnetometer.max_rate
+        due = []
+        for row in np.flatnonzero(np.isfinite(field[:, 0])).tolist():
+            stamp_us = int(t_us[row])
+            if self._field_us is None or abs(stamp_us - self._field_us) >= interval:
+                self._field_us = stamp_us
+                due.append(row)
+        return due
+
     def _place_around_events(
-        self, times: ImuTimes, accel_b: FloatArray, gyro_b: FloatArray
+        self,
+        times: ImuTimes,
+        accel_b: FloatArray,
+        gyro_b: FloatArray,
+        field: FloatArray | None,
     ) -> None:
         start = 0
         reboots = [event.row for event in times.events if event.kind == "reboot"]
         for end in (*reboots, len(times.t_us)):
             rows = start + np.flatnonzero(times.keep[start:end])
             if len(rows):
-                self.estimator.feed_imu(ImuTable(times.t_us[rows], accel_b[rows], gyro_b[rows]))
+                self._feed(
+                    times.t_us[rows],
+                    accel_b[rows],
+                    gyro_b[rows],
+                    None if field is None else field[rows],
+                )
             if end in reboots:
                 self.reboots += 1
                 self._forget()
@@ -236,6 +272,7 @@ class Intake:
         self._fix_stamps.clear()
         self._heading_stamps.clear()
         self._heading_stamp = None
+        self._field_us = None
 
     # ---- everything else ---------------------------------------------------------------------------------------
 

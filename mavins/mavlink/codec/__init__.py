@@ -13,6 +13,7 @@ SI; encode, outputs: SI -> bytes.
 from mavins.mavlink.codec.decode import (
     FIRST_UNIX_US,
     decode,
+    decode_fields,
     decode_imu,
     decode_truth,
     payload_rows,
@@ -103,6 +104,7 @@ __all__ = [
     "boot_ms",
     "command_ack",
     "decode",
+    "decode_fields",
     "decode_imu",
     "decode_truth",
     "estimator_status",

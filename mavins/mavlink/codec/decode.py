@@ -36,7 +36,7 @@ from mavins.mavlink.codec.messages import (
     SystemTime,
     Truth,
 )
-from mavins.types import IntArray
+from mavins.types import FloatArray, IntArray
 
 Values: TypeAlias = tuple[Any, ...]
 
@@ -60,6 +60,7 @@ _U32: Final = 0xFFFFFFFF
 _DEG_E7: Final = math.radians(1e-7)
 _CDEG: Final = math.radians(1e-2)
 _ACCEL_AND_GYRO: Final = 0x3F
+_MAGNETOMETER: Final = 0x1C0
 _SCALED_KINDS: Final = ("SCALED_IMU", "SCALED_IMU2", "SCALED_IMU3")
 _SI: Final = (1.0, 1.0)
 _MILLI: Final = (STANDARD_GRAVITY * 1e-3, 1e-3)
@@ -382,3 +383,20 @@ def decode_imu(frames: Frames, indices: IntArray) -> ImuRows:
         gyro_b[at[usable]] = gyro[usable]
         valid[at] = usable
     return ImuRows(stamp_us, accel_b, gyro_b, msgid, imu_id, valid)
+
+
+def decode_fields(frames: Frames, indices: IntArray) -> FloatArray:
+    """The magnetometer readings (N, 3) in packets `indices` (N,), IMU messages of one kind, in the kind's own unit.
+
+    A row is NaN where the packet has none: not updated in HIGHRES_IMU, or zero as from a vehicle without the sensor.
+    """
+    if not len(indices):
+        return np.empty((0, 3))
+    kind = IMU_KINDS[int(frames.msgid[indices[0]])]
+    rows = payload_rows(frames, indices, fields_of(kind))
+    readings = np.column_stack([rows["xmag"], rows["ymag"], rows["zmag"]]).astype(np.float64)
+    none = ~np.isfinite(readings).all(axis=1) | ~readings.any(axis=1)
+    if kind == "HIGHRES_IMU":
+        none |= rows["fields_updated"] & _MAGNETOMETER != _MAGNETOMETER
+    readings[none] = np.nan
+    return readings

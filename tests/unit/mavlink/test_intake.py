@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import all as dialect
 
-from mavins.estimator.settings import Settings
+from mavins.estimator.settings import MagnetometerSettings, Settings
 from mavins.mavlink.codec import (
     Frames,
     Payload,
@@ -26,7 +26,7 @@ from mavins.mavlink.codec import (
 from mavins.mavlink.imu_source import CHOICE_US
 from mavins.mavlink.intake import HEARTBEAT_WAIT_US, PAIR_US, Intake
 from mavins.mavlink.sources import SourceSettings
-from mavins.types import GnssFix, HeadingFix, ImuSample, ImuTable
+from mavins.types import GnssFix, HeadingFix, ImuSample, ImuTable, MagSample
 
 # a flight through the estimator takes minutes where nothing is compiled
 pytestmark = pytest.mark.jit
@@ -52,6 +52,9 @@ class Ear:
 
     def feed_heading(self, fix: HeadingFix) -> None:
         self.events.append(("heading", fix))
+
+    def feed_mag(self, sample: MagSample) -> None:
+        self.events.append(("mag", sample.t_us, tuple(sample.field.tolist()), sample.source))
 
     def restart(self, reason: str) -> None:
         self.events.append(("restart", reason))
@@ -316,14 +319,77 @@ class TestHeading:
         assert line.run().of("heading") == []
 
 
-def test_the_outcome_does_not_depend_on_the_grouping() -> None:
+WITH_MAGNETOMETER = Settings(magnetometer=MagnetometerSettings(enabled=True, max_rate=10.0))
+
+
+def with_field(t_us: int, x: float = 0.2, fields: int = 0x1FF) -> Any:
+    return dialect.MAVLink_highres_imu_message(
+        t_us, 0, 0, -9.8, 0, 0, 0, x, -0.1, 0.4, 0, 0, 0, 0, fields, 0
+    )
+
+
+class TestMagnetometer:
+    def test_goes_behind_the_sample_that_brought_it_no_oftener_than_allowed(self) -> None:
+        line = Line(settings=WITH_MAGNETOMETER)
+        for k in range(60):
+            line.put(with_field(1_000_000 + 4000 * k), 1_000_000 + 4000 * k)
+        events = line.run().events
+        stamps = [event[1] for event in events if event[0] == "mag"]
+        assert stamps == [1_000_000, 1_096_000, 1_192_000]
+        for k, event in enumerate(events):
+            if event[0] == "mag":
+                assert events[k - 1][:2] == ("imu", event[1])
+                assert event[2:] == (pytest.approx((0.2, -0.1, 0.4)), "HIGHRES_IMU")
+        assert len(events) == 63
+
+    def test_is_left_alone_where_the_settings_do_not_ask_for_it(self) -> None:
+        line = Line()
+        line.put(with_field(1_000_000), 1_000_000)
+        assert [event[0] for event in line.run().events] == ["imu"]
+
+    @pytest.mark.parametrize("none", [with_field(1_000_000, fields=0x3F), imu(1_000_000)])
+    def test_a_sample_without_a_reading(self, none: Any) -> None:
+        line = Line(settings=WITH_MAGNETOMETER)
+        line.put(none, 1_000_000)
+        line.put(with_field(1_010_000), 1_010_000)
+        assert [event[0] for event in line.run().events] == ["imu", "imu", "mag"]
+
+    def test_a_reading_that_is_no_number(self) -> None:
+        line = Line(settings=WITH_MAGNETOMETER)
+        line.put(with_field(1_000_000, x=math.nan), 1_000_000)
+        assert [event[0] for event in line.run().events] == ["imu"]
+
+    def test_in_milligauss(self) -> None:
+        line = Line(settings=WITH_MAGNETOMETER)
+        for t_us in range(1_000_000, 1_000_000 + 2 * CHOICE_US, 100_000):
+            line.put(
+                dialect.MAVLink_raw_imu_message(t_us, 0, 0, -1000, 0, 0, 0, 200, -100, 400), t_us
+            )
+        fed = [event for event in line.run().events if event[0] == "mag"]
+        assert fed
+        assert fed[0][2:] == ((200.0, -100.0, 400.0), "RAW_IMU")
+
+    def test_a_reboot_voids_the_last_stamp(self) -> None:
+        line = Line(settings=WITH_MAGNETOMETER)
+        stamps = [*range(60_000_000, 61_000_000, 20_000), *range(1_000_000, 2_000_000, 20_000)]
+        for k, t_us in enumerate(stamps):
+            line.put(with_field(t_us), 60_000_000 + 20_000 * k)
+        events = line.run().events
+        again = [event[0] for event in events].index("restart")
+        assert [event[0] for event in events[again:]].count("mag") >= 9
+
+
+@pytest.mark.parametrize("settings", [None, WITH_MAGNETOMETER])
+def test_the_outcome_does_not_depend_on_the_grouping(settings: Settings | None) -> None:
     """One packet at a time, a few, or all at once: the same samples, fixes and headings in the same order."""
     rng = random.Random(4)
-    whole = Line()
+    whole = Line(settings=settings)
     for k in range(300):
         t_us = 1_000_000 + 4000 * k
         stamp = 0 if rng.random() < 0.02 else t_us + (900_000_000 if rng.random() < 0.02 else 0)
         whole.put(imu(stamp, imu_id=int(rng.random() < 0.1)), t_us)
+        if settings is not None and k % 3 == 0:
+            whole.put(with_field(t_us + 2000, x=rng.random()), t_us)
         if k % 9 == 0:
             whole.put(heading(t_us), t_us)
         if k % 30 == 0:
@@ -337,7 +403,7 @@ def test_the_outcome_does_not_depend_on_the_grouping() -> None:
     expected = whole.run()
     assert len(expected.events) > 250
     for longest in (1, 7, 60):
-        parts = Line()
+        parts = Line(settings=settings)
         i = 0
         while i < len(log):
             n = rng.randint(1, longest)
