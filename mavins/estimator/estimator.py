@@ -60,6 +60,9 @@ from mavins.types import (
 RESETS_TO_DIVERGE = 3
 DIVERGE_WITHIN_US = 60_000_000
 _NOTHING = np.empty(0)
+YAW_DOUBT_US = 2_000_000
+"""GNSS rejected for this long puts the yaw in doubt."""
+YAW_RESET_SIGMAS = 3.0
 YAW_SILENT_US = 5_000_000
 YAW_SIGMA = math.radians(8.0)
 """Without a heading for this long and with a larger sigma, the status says that yaw is not observable."""
@@ -186,8 +189,8 @@ class Estimator:
         noise = noise_of(fix, settings)
         if not quality:
             self._barometer.see_fix(t_us, fix.alt, noise.v)
+        self._aligner.see_fix(fix, t_us)
         if not self.running or self.frame is None:
-            self._aligner.see_fix(fix, t_us)
             return
         self._take(
             gnss_position.measure(
@@ -307,15 +310,14 @@ class Estimator:
 
     def _tick(self, now_us: int) -> None:
         """What is looked at a few times a second."""
-        standing = self._aligner.standing
-        if not self.running or not standing.moved:
-            standing.tick(self._line.buffer, now_us)
+        self._aligner.tick(self._line.buffer, now_us)
         if not self.running:
             self._try_to_align(now_us)
         else:
             self._zero_velocity(now_us)
             self._habits(now_us)
             self._judge_health(now_us)
+            self._watch_yaw(now_us)
         self._decide(self._line.prune(now_us, self._window_us))
 
     def _zero_velocity(self, now_us: int) -> None:
@@ -365,6 +367,27 @@ class Estimator:
             self.health = Health.RUNNING
             self.reason = _yaw_remark(state, track, now_us)
 
+    def _watch_yaw(self, now_us: int) -> None:
+        """Start anew, on the way, where GNSS is rejected and motion shows another yaw than the filter's."""
+        state, frame, track = self._line.state, self.frame, self._line.fusion.track
+        if state is None or frame is None or track.rejected_for_us < YAW_DOUBT_US:
+            return
+        buffer = self._line.buffer
+        candidate = self._aligner.from_motion(buffer, now_us, self._buffer_us)
+        seen = self._aligner.motion.at(buffer, state.t_us)
+        if candidate is None or seen is None:
+            return
+        fix = HeadingFix(state.t_us, seen.yaw, seen.sigma, "motion")
+        m = heading.measure(fix, state.t_us, frame, seen.sigma, YAW_RESET_SIGMAS)
+        event = Event(m, (state.t_us, m.rank, m.source, 0), "yaw reset")
+        event.nis, event.innovation, event.sigma = self.filter.update(state, m, -1.0)
+        if event.nis <= YAW_RESET_SIGMAS**2:
+            return
+        resets = (*track.reset_times_us[-7:], now_us)
+        self._begin(candidate, track._replace(resets=track.resets + 1, reset_times_us=resets))
+        self.reason = event.reason
+        self._decide([event])
+
     def _check_sanity(self) -> None:
         state = self._line.state
         if state is None:
@@ -405,10 +428,10 @@ class Estimator:
                 self.health = Health.WAITING if waiting else Health.ALIGNING
                 self.reason = candidate
             return
-        self._begin(candidate)
+        self._begin(candidate, Track())
 
-    def _begin(self, candidate: Candidate) -> None:
-        """Start at the valid time of the newest good fix and walk to now."""
+    def _begin(self, candidate: Candidate, track: Track) -> None:
+        """Start at the valid time of the newest good fix and walk to now; `track` says what was before."""
         fix = candidate.fix
         if self.frame is None:
             self.frame = TangentFrame.at(self._wanted_origin or Origin(fix.lat, fix.lon, fix.alt))
@@ -425,7 +448,11 @@ class Estimator:
         self._line.begin(
             state,
             self.frame,
-            Track(accepted_us=(candidate.t_us,) * 3),
+            track._replace(
+                accepted_us=(candidate.t_us,) * 3,
+                rejected_since_us=(-1, -1),
+                rejected_us=(-1, -1),
+            ),
         )
         self._check_sanity()
 
