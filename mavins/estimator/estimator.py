@@ -39,6 +39,7 @@ from mavins.estimator.solution import solution_of
 from mavins.estimator.standing import HALF_WINDOW_US
 from mavins.estimator.statistics import AidingStatistics
 from mavins.estimator.timeline import Timeline
+from mavins.estimator.yaw_watch import YawWatch
 from mavins.filters import Filter, FilterState, ImuNoise, RowBlock, make
 from mavins.nav.earth import TangentFrame
 from mavins.nav.layout import X_TAU
@@ -60,9 +61,6 @@ from mavins.types import (
 RESETS_TO_DIVERGE = 3
 DIVERGE_WITHIN_US = 60_000_000
 _NOTHING = np.empty(0)
-YAW_DOUBT_US = 2_000_000
-"""GNSS rejected for this long puts the yaw in doubt."""
-YAW_RESET_SIGMAS = 3.0
 YAW_SILENT_US = 5_000_000
 YAW_SIGMA = math.radians(8.0)
 """Without a heading for this long and with a larger sigma, the status says that yaw is not observable."""
@@ -114,6 +112,7 @@ class Estimator:
         self._compass = Compass(settings.magnetometer)
         self._barometer = Barometer(settings.baro)
         self._aligner = Aligner(settings, self._compass)
+        self._yaw_watch = YawWatch()
         self._line = self._new_line()
         self.health = Health.WAITING
         self.reason = "waiting for IMU and GNSS"
@@ -368,23 +367,21 @@ class Estimator:
             self.reason = _yaw_remark(state, track, now_us)
 
     def _watch_yaw(self, now_us: int) -> None:
-        """Start anew, on the way, where GNSS is rejected and motion shows another yaw than the filter's."""
+        """Start anew, on the way, where motion shows another yaw than the filter's and GNSS agrees with it."""
         state, frame, track = self._line.state, self.frame, self._line.fusion.track
-        if state is None or frame is None or track.rejected_for_us < YAW_DOUBT_US:
+        if state is None or frame is None or not self._yaw_watch.doubts:
             return
-        buffer = self._line.buffer
-        candidate = self._aligner.from_motion(buffer, now_us, self._buffer_us)
-        seen = self._aligner.motion.at(buffer, state.t_us)
+        buffer, aligner = self._line.buffer, self._aligner
+        candidate = aligner.from_motion(buffer, now_us, self._buffer_us)
+        seen = aligner.motion.at(buffer, state.t_us)
         if candidate is None or seen is None:
             return
-        fix = HeadingFix(state.t_us, seen.yaw, seen.sigma, "motion")
-        m = heading.measure(fix, state.t_us, frame, seen.sigma, YAW_RESET_SIGMAS)
-        event = Event(m, (state.t_us, m.rank, m.source, 0), "yaw reset")
-        event.nis, event.innovation, event.sigma = self.filter.update(state, m, -1.0)
-        if event.nis <= YAW_RESET_SIGMAS**2:
+        event = self._yaw_watch.contradiction(self.filter, state, frame, seen)
+        if event is None:
             return
         resets = (*track.reset_times_us[-7:], now_us)
-        self._begin(candidate, track._replace(resets=track.resets + 1, reset_times_us=resets))
+        self._begin(candidate, Track(resets=track.resets + 1, reset_times_us=resets))
+        self._yaw_watch.calm()
         self.reason = event.reason
         self._decide([event])
 
@@ -403,6 +400,7 @@ class Estimator:
         self.loss = reason if had_estimate else self.loss
         self.finish()
         self._aligner = Aligner(self.settings, self._compass)
+        self._yaw_watch.calm()
         self._line = self._new_line()
         self.health = health
         self.reason = reason
@@ -411,6 +409,7 @@ class Estimator:
         """Count and write final decisions."""
         for event in events:
             m = event.measurement
+            self._yaw_watch.see(event)
             statistics = self.statistics.get(m.aiding)
             if statistics is None:
                 statistics = self.statistics[m.aiding] = AidingStatistics()
@@ -448,11 +447,7 @@ class Estimator:
         self._line.begin(
             state,
             self.frame,
-            track._replace(
-                accepted_us=(candidate.t_us,) * 3,
-                rejected_since_us=(-1, -1),
-                rejected_us=(-1, -1),
-            ),
+            track._replace(accepted_us=(candidate.t_us,) * 3),
         )
         self._check_sanity()
 

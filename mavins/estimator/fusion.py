@@ -34,12 +34,6 @@ class Track(NamedTuple):
     resets: int = 0
     reset_times_us: tuple[int, ...] = ()
 
-    @property
-    def rejected_for_us(self) -> int:
-        """For how long position or velocity have been rejected without a break; 0 where the last was accepted."""
-        spells = zip(self.rejected_since_us, self.rejected_us, strict=True)
-        return max(last - since if since >= 0 else 0 for since, last in spells)
-
 
 @dataclass(slots=True)
 class Event:

@@ -6,7 +6,8 @@ from one GNSS velocity to the next by the specific force F = (integral of C_hb f
 
     v <- v + Rz(psi) d,    d = [F_x + phi_y F_z, F_y - phi_x F_z]
 
-A weight is its filter's likelihood. Source: Alspach and Sorenson (1972). Theory: docs/theory/yaw_without_magnetometer.md.
+A weight is its filter's likelihood. Source: Alspach and Sorenson (1972).
+Theory: docs/theory/yaw_without_magnetometer.md.
 """
 
 from __future__ import annotations
