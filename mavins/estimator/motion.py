@@ -16,11 +16,12 @@ from mavins.estimator.alignment import level
 from mavins.estimator.buffer import ImuBuffer
 from mavins.estimator.settings import Settings
 from mavins.estimator.standing import mean_rows
-from mavins.estimator.yaw_gsf import HYPOTHESES, STATES, advance, fuse, moments, spread
+from mavins.estimator.yaw_gsf import HYPOTHESES, SPACING, STATES, advance, fuse, moments, spread
 from mavins.nav.so3 import euler_to_quat, quat_mul, quat_to_dcm, quat_to_euler
 from mavins.types import FloatArray, GnssFix
 
-TRUSTED_SIGMA: Final = math.radians(10.0)
+TRUSTED_SIGMA: Final = SPACING / 3.0
+"""The sum has settled on one of its filters."""
 BIAS_TIME: Final = 10.0
 """A gyro bias that is not known is taken for a noise that is as large after so many seconds."""
 _SMOOTHING: Final = 0.1
