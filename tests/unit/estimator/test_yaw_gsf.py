@@ -120,7 +120,7 @@ def test_an_update_is_a_kalman_update_with_a_lever() -> None:
 def test_the_way_does_not_depend_on_where_it_is_cut() -> None:
     rng = np.random.default_rng(4)
     t_us = np.arange(1, 41, dtype=np.int64) * 5_000
-    imu = rng.normal(size=(40, 6)) + [0.2, 0.0, 0.5, 0.0, 0.0, -9.8]
+    imu = rng.normal(size=(40, 6)) + np.array([0.2, 0.0, 0.5, 0.0, 0.0, -9.8])
     ways = []
     for cuts in ([40], [1, 7, 22, 40]):
         q, force, u = euler_to_quat(0.1, 0.2, 0.3), np.zeros(3), imu[0].copy()
