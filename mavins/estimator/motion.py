@@ -17,7 +17,7 @@ from mavins.estimator.buffer import ImuBuffer
 from mavins.estimator.settings import Settings
 from mavins.estimator.standing import mean_rows
 from mavins.estimator.yaw_gsf import HYPOTHESES, SPACING, STATES, advance, fuse, moments, spread
-from mavins.nav.so3 import euler_to_quat, quat_mul, quat_to_dcm, quat_to_euler
+from mavins.nav.so3 import cross, euler_to_quat, quat_mul, quat_to_dcm, quat_to_euler
 from mavins.types import FloatArray, GnssFix
 
 TRUSTED_SIGMA: Final = SPACING / 3.0
@@ -132,7 +132,7 @@ class MotionHeading:
         turn = self._turn_noise(dt)
         Q = np.array([self._accel_noise**2 * dt, turn, turn])
         C_hb = quat_to_dcm(self._q_hb)
-        lever_h = (C_hb @ np.cross(self._u[:3] - self.b_g, self._lever_b))[:2]
+        lever_h = (C_hb @ cross(self._u[:3] - self.b_g, self._lever_b))[:2]
         nis = fuse(
             self._x, self._P, self._log_w, self._q_hb, self._force_h, Q, v, sigma**2, lever_h
         )
