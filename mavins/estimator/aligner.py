@@ -12,6 +12,7 @@ import numpy as np
 from mavins.estimator.alignment import Start, initial_state
 from mavins.estimator.buffer import ImuBuffer
 from mavins.estimator.compass import Compass, levelled
+from mavins.estimator.motion import MotionAttitude, MotionHeading
 from mavins.estimator.quality import StartGate, noise_of, objection
 from mavins.estimator.settings import Settings
 from mavins.estimator.standing import StandingDetector, mean_rows
@@ -27,7 +28,10 @@ _DIP_LIMIT = math.radians(30.0)
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """All that a start needs: the fix and its valid time, the heading, IMU means over the window, and the motion."""
+    """All that a start needs: the fix and its valid time, the heading, IMU means over the window, and the motion.
+
+    `attitude` is that at the fix where motion has shown it.
+    """
 
     t_us: int
     fix: GnssFix
@@ -36,6 +40,7 @@ class Candidate:
     accel_b: FloatArray
     acceleration_l: FloatArray
     standing: bool
+    attitude: MotionAttitude | None = None
 
 
 class Aligner:
@@ -46,6 +51,7 @@ class Aligner:
         self._compass = compass or Compass(settings.magnetometer)
         self.standing = StandingDetector(settings.zero_velocity)
         self.gate = StartGate(settings.gnss)
+        self.motion = MotionHeading(settings)
         self._fixes: deque[tuple[int, GnssFix]] = deque()
         self._heading: tuple[int, HeadingFix] | None = None
         self._field: tuple[int, FloatArray] | None = None
@@ -56,6 +62,8 @@ class Aligner:
         if objection(fix, self._settings.gnss):
             return
         self._fixes.append((t_us, fix))
+        if self._settings.heading.from_motion:
+            self.motion.see_fix(fix, t_us, noise_of(fix, self._settings.gnss).speed)
         while t_us - self._fixes[0][0] > _HISTORY_US:
             self._fixes.popleft()
 
@@ -67,6 +75,25 @@ class Aligner:
         """The direction (3,) of the magnetic field in b with its valid time."""
         self._field = (t_us, direction_b)
 
+    def tick(self, buffer: ImuBuffer, now_us: int) -> None:
+        """Look at the IMU rows up to `now_us`, the newest stamp."""
+        if not self.standing.moved:
+            self.standing.tick(buffer, now_us)
+        if self.standing.standing:
+            self.motion.rest(self.standing.gyro_b)
+        self.motion.step(buffer, now_us)
+
+    def from_motion(self, buffer: ImuBuffer, now_us: int, buffer_us: int) -> Candidate | None:
+        """A start from the attitude that motion shows; None where it is not to be trusted."""
+        usable = [(t, f) for t, f in self._fixes if now_us - buffer_us < t <= now_us]
+        attitude = self.motion.at(buffer, usable[-1][0]) if usable else None
+        if attitude is None or not attitude.trusted:
+            return None
+        t_us, fix = usable[-1]
+        u = buffer.reading_at(t_us)
+        heading = HeadingFix(t_us, attitude.yaw, attitude.sigma, "motion")
+        return Candidate(t_us, fix, heading, u[:3], u[3:], np.zeros(3), False, attitude)
+
     def candidate(self, buffer: ImuBuffer, now_us: int, buffer_us: int) -> Candidate | str:
         """What a start can be made from now, or what is missing for one."""
         settings = self._settings.alignment
@@ -76,10 +103,11 @@ class Aligner:
         if not self.gate.passed:
             return self.gate.reason
         told = [seen[0] for seen in (self._heading, self._field) if seen is not None]
-        if not told:
-            return "no heading source"
-        if now_us - max(told) > settings.heading_age * 1e6:
-            return "heading is old"
+        if not told or now_us - max(told) > settings.heading_age * 1e6:
+            lack = "heading is old" if told else "no heading source"
+            if not self._settings.heading.from_motion:
+                return lack
+            return self.from_motion(buffer, now_us, buffer_us) or f"{lack}: waiting for motion"
         usable = [(t, f) for t, f in self._fixes if now_us - buffer_us < t <= now_us]
         if not usable:
             return "waiting for a fresh GNSS fix"
@@ -150,6 +178,14 @@ class Aligner:
         if not candidate.standing:
             turned = float(np.linalg.norm(candidate.gyro_b)) * window
             tilt = math.hypot(math.radians(s.alignment.moving_sigma_deg), 0.5 * turned)
+        b_g = candidate.gyro_b.copy() if candidate.standing else np.zeros(3)
+        q_lb = None
+        if candidate.attitude is not None:
+            q_lb, tilt, b_g = (
+                candidate.attitude.q_lb,
+                candidate.attitude.sigma_tilt,
+                self.motion.b_g.copy(),
+            )
         # found in l and then turned into n, so that the heading means the local north
         start = Start(
             accel_b=candidate.accel_b,
@@ -159,7 +195,7 @@ class Aligner:
             R_p=np.diag([noise.h**2, noise.h**2, noise.v**2]),
             v_n=v_l,
             R_v=R_v,
-            b_g=candidate.gyro_b.copy() if candidate.standing else np.zeros(3),
+            b_g=b_g,
             sigma_b_g=s.imu.gyro_bias_sigma,
             sigma_b_a=s.imu.accel_bias_sigma,
             sigma_tilt=tilt,
@@ -168,6 +204,7 @@ class Aligner:
             sigma_lever=s.states.lever_arm_sigma,
             delay=fix.delay,
             sigma_delay=s.states.gnss_delay_sigma,
+            q_nb=q_lb,
         )
         x, P = initial_state(start, layout)
         x[3:6] = C_ln.T @ x[3:6]

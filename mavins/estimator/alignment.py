@@ -62,7 +62,8 @@ class Start:
     """What the first state is made from.
 
     `accel_b` (3,) is the mean over the window; `push_n` (3,) is a_n - g_n; position, velocity and their (3, 3)
-    noise covariances are in n. Sigmas in rad, rad/s, m/s^2; `b_g` (3,) with `sigma_b_g` is the gyro bias.
+    noise covariances are in n. Sigmas in rad, rad/s, m/s^2; `b_g` (3,) with `sigma_b_g` is the gyro bias. Where the
+    attitude `q_nb` (4,) is known, nothing is levelled.
     """
 
     accel_b: FloatArray
@@ -81,12 +82,14 @@ class Start:
     sigma_lever: float = 0.0
     delay: float = 0.0
     sigma_delay: float = 0.0
+    q_nb: FloatArray | None = None
 
 
 def initial_state(start: Start, layout: Layout) -> tuple[FloatArray, FloatArray]:
     """(x (20,), P over the errors of the layout) of the first state; the antenna's position is brought to the IMU."""
     x = np.zeros(X_SIZE)
-    x[X_Q] = level(start.accel_b, start.push_n, start.yaw_n)
+    known = start.q_nb
+    x[X_Q] = level(start.accel_b, start.push_n, start.yaw_n) if known is None else known
     C = quat_to_dcm(x[X_Q])
     x[X_P] = start.p_n - C @ start.lever_b
     x[X_V] = start.v_n

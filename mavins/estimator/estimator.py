@@ -40,6 +40,7 @@ from mavins.estimator.solution import solution_of
 from mavins.estimator.standing import HALF_WINDOW_US
 from mavins.estimator.statistics import AidingStatistics
 from mavins.estimator.timeline import Timeline
+from mavins.estimator.yaw_watch import YawWatch
 from mavins.filters import Filter, FilterState, ImuNoise, RowBlock, make
 from mavins.nav.earth import TangentFrame
 from mavins.nav.layout import X_TAU
@@ -114,6 +115,7 @@ class Estimator:
         self._compass = Compass(settings.magnetometer)
         self._barometer = Barometer(settings.baro)
         self._aligner = Aligner(settings, self._compass)
+        self._yaw_watch = YawWatch()
         self._line = self._new_line()
         self.health = Health.WAITING
         self.reason = "waiting for IMU and GNSS"
@@ -189,8 +191,8 @@ class Estimator:
         noise = noise_of(fix, settings)
         if not quality:
             self._barometer.see_fix(t_us, fix.alt, noise.v)
+        self._aligner.see_fix(fix, t_us)
         if not self.running or self.frame is None:
-            self._aligner.see_fix(fix, t_us)
             return
         self._take(
             gnss_position.measure(
@@ -317,15 +319,14 @@ class Estimator:
 
     def _tick(self, now_us: int) -> None:
         """What is looked at a few times a second."""
-        standing = self._aligner.standing
-        if not self.running or not standing.moved:
-            standing.tick(self._line.buffer, now_us)
+        self._aligner.tick(self._line.buffer, now_us)
         if not self.running:
             self._try_to_align(now_us)
         else:
             self._zero_velocity(now_us)
             self._habits(now_us)
             self._judge_health(now_us)
+            self._watch_yaw(now_us)
         self._decide(self._line.prune(now_us, self._window_us))
 
     def _zero_velocity(self, now_us: int) -> None:
@@ -375,6 +376,25 @@ class Estimator:
             self.health = Health.RUNNING
             self.reason = _yaw_remark(state, track, now_us)
 
+    def _watch_yaw(self, now_us: int) -> None:
+        """Start anew, on the way, where motion shows another yaw than the filter's and GNSS agrees with it."""
+        state, frame, track = self._line.state, self.frame, self._line.fusion.track
+        if state is None or frame is None or not self._yaw_watch.doubts:
+            return
+        buffer, aligner = self._line.buffer, self._aligner
+        candidate = aligner.from_motion(buffer, now_us, self._buffer_us)
+        seen = aligner.motion.at(buffer, state.t_us)
+        if candidate is None or seen is None:
+            return
+        event = self._yaw_watch.contradiction(self.filter, state, frame, seen)
+        if event is None:
+            return
+        resets = (*track.reset_times_us[-7:], now_us)
+        self._begin(candidate, Track(resets=track.resets + 1, reset_times_us=resets))
+        self._yaw_watch.calm()
+        self.reason = event.reason
+        self._decide([event])
+
     def _check_sanity(self) -> None:
         state = self._line.state
         if state is None:
@@ -390,6 +410,7 @@ class Estimator:
         self.loss = reason if had_estimate else self.loss
         self.finish()
         self._aligner = Aligner(self.settings, self._compass)
+        self._yaw_watch.calm()
         self._line = self._new_line()
         self.health = health
         self.reason = reason
@@ -398,6 +419,7 @@ class Estimator:
         """Count and write final decisions."""
         for event in events:
             m = event.measurement
+            self._yaw_watch.see(event)
             statistics = self.statistics.get(m.aiding)
             if statistics is None:
                 statistics = self.statistics[m.aiding] = AidingStatistics()
@@ -415,10 +437,10 @@ class Estimator:
                 self.health = Health.WAITING if waiting else Health.ALIGNING
                 self.reason = candidate
             return
-        self._begin(candidate)
+        self._begin(candidate, Track())
 
-    def _begin(self, candidate: Candidate) -> None:
-        """Start at the valid time of the newest good fix and walk to now."""
+    def _begin(self, candidate: Candidate, track: Track) -> None:
+        """Start at the valid time of the newest good fix and walk to now; `track` says what was before."""
         fix = candidate.fix
         if self.frame is None:
             self.frame = TangentFrame.at(self._wanted_origin or Origin(fix.lat, fix.lon, fix.alt))
@@ -435,7 +457,7 @@ class Estimator:
         self._line.begin(
             state,
             self.frame,
-            Track(accepted_us=(candidate.t_us,) * 3),
+            track._replace(accepted_us=(candidate.t_us,) * 3),
         )
         self._check_sanity()
 

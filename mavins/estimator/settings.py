@@ -148,6 +148,10 @@ class HeadingSettings:
     ] = "auto"
     sigma_deg: Annotated[float, Gt(0), Le(180), Doc("Heading noise, 1-sigma.", "deg")] = 3.0
     gate: Annotated[float, Gt(0), Le(100), Doc("Innovation gate, in sigmas.")] = 5.0
+    from_motion: Annotated[
+        bool,
+        Doc("Without a heading, start with the yaw that GNSS velocity shows; reset a wrong yaw."),
+    ] = True
 
 
 @dataclass(frozen=True, slots=True)

@@ -205,7 +205,7 @@ def test_without_a_heading_it_stays_aligning(rig: Any, standing: Callable[..., A
             rig.receive(*item)
     estimator = rig.vehicle().estimator
     assert estimator.health == Health.ALIGNING
-    assert estimator.reason == "no heading source"
+    assert estimator.reason == "no heading source: waiting for motion"
     assert any("aligning: no heading source" in text for text in rig.texts())
 
 

@@ -85,7 +85,7 @@ def test_without_a_heading_it_aligns_for_ever_and_says_why() -> None:
     v = Vehicle()
     v.go(10.0, headings=False)
     assert v.estimator.health is Health.ALIGNING
-    assert v.estimator.reason == "no heading source"
+    assert v.estimator.reason == "no heading source: waiting for motion"
 
 
 def test_bad_fixes_do_not_start_it() -> None:
