@@ -60,6 +60,7 @@ class Timeline:
         self._history = history
         self._rows = RowBlock.empty(ROWS_HELD, algorithm.layout.size)
         self._events: list[Event] = []
+        self._told = 0
         self._snapshots: list[Snapshot] = []
         self._sequence = 0
 
@@ -135,19 +136,24 @@ class Timeline:
             del self._snapshots[:i]
         reachable = min(horizon, self._snapshots[0].t_us) if self._snapshots else horizon
         self.buffer.drop_before(reachable - window_us)
-        final = bisect_right(self._events, reachable - 1, key=_event_time)
-        decided = self._events[:final]
-        del self._events[:final]
+        # what is told must not depend on where snapshots lie; what a rewind may pass again is kept all the same
+        told = bisect_right(self._events, horizon - 1, key=_event_time)
+        decided = self._events[self._told : told]
+        passed = bisect_right(self._events, reachable - 1, key=_event_time)
         if self._history is not None and self._snapshots:
-            self._history.final(self._snapshots[0], decided)
+            self._history.final(self._snapshots[0], self._events[:passed])
+        del self._events[:passed]
+        self._told = told - passed
         return decided
 
     def end(self) -> list[Event]:
         """All decisions that are still open; measurements that wait for IMU samples are given up."""
-        decided = [event for event in self._events if len(event.innovation)]
+        fused = [event for event in self._events if len(event.innovation)]
+        decided = [event for event in self._events[self._told :] if len(event.innovation)]
         self._events.clear()
+        self._told = 0
         if self._history is not None and self.state is not None:
-            self._history.decided(decided)
+            self._history.decided(fused)
         return decided
 
     def flush(self) -> None:
