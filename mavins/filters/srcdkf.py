@@ -38,7 +38,7 @@ from mavins.nav.deviations import write_interval
 from mavins.nav.earth import TangentFrame
 from mavins.nav.ins import increments_from_rates, mechanize
 from mavins.nav.kernels import kernel
-from mavins.nav.layout import TAU, Layout, boxplus
+from mavins.nav.layout import TAU, X_TAU, Layout, boxplus
 from mavins.nav.linalg import cholesky
 from mavins.nav.square_root import (
     WIDTH,
@@ -292,9 +292,11 @@ class Srcdkf:
         r, J = observation.linearize(state.x, state.u)
         if len(columns) + len(r) > WIDTH:
             raise ValueError(f"at most {WIDTH - len(columns)} rows at once, not {len(r)}")
-        D = observation.differences(sigma_points(state.x, state.own, columns), state.u, r)
+        X = sigma_points(state.x, state.own, columns)
+        # the delay enters through its Jacobian: a model may not see it, or weigh it by what of the motion is signal
+        X[:, X_TAU] = state.x[X_TAU]
+        D = observation.differences(X, state.u, r)
         for j in self._tau:
-            # models do not see the delay in the state: it is the time at which they are asked
             first = H * np.outer(state.own[:, j], J[:, TAU.start])
             D -= np.concatenate([first, -first])
         innovation, sigma = r.copy(), np.empty(len(r))

@@ -240,15 +240,16 @@ def test_a_heading_is_the_same_across_the_turn(yaw: float) -> None:
     assert turn == pytest.approx(0.02 * 0.25 / 0.26, rel=2e-2)
 
 
-def test_a_delay_is_seen_through_the_motion() -> None:
-    """v = 10 m/s and a position 1 m ahead: the delay is what is least known."""
+@pytest.mark.parametrize("believed", [np.empty(0), np.zeros(1)], ids=["unseen", "seen"])
+def test_a_delay_is_seen_through_the_motion(believed: FloatArray) -> None:
+    """v = 10 m/s and a position 1 m ahead: the delay is what is least known, whether or not the model sees it too."""
     algorithm, state = filter_of(19), state_of(19)
     state.x[3:6], state.x[16:19] = [10.0, 0.0, 0.0], 0.0
     state.P = np.diag((1e-3 * SIGMA) ** 2)
     state.P[18, 18] = 0.5**2
     algorithm.adopt(state)
     z = state.x[:3] + np.array([1.0, 0.0, 0.0])
-    fix = observation(gnss_position, z, np.eye(3) * 1e-4, np.empty(0))
+    fix = observation(gnss_position, z, np.eye(3) * 1e-4, believed)
     algorithm.update(state, fix, math.inf)
     assert state.x[19] == pytest.approx(-0.1, rel=1e-3)
 
