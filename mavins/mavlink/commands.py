@@ -159,7 +159,7 @@ def _set_interval(command: Command, vehicle: Vehicle, address: Hashable) -> Answ
     name, interval = MSGIDS.get(command.number_in(1)), command.number_in(2)
     if name is None:
         return UNSUPPORTED, []
-    if command.p[1] != interval or (interval > 0 and interval < _SHORTEST_US):
+    if command.p[1] != interval or interval < -1 or 0 < interval < _SHORTEST_US:
         return DENIED, []
     vehicle.set_interval(address, name, None if interval == 0 else interval)
     return ACCEPTED, []
