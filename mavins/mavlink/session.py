@@ -40,6 +40,7 @@ from mavins.mavlink.requests import (
     decode_packet,
     is_for,
 )
+from mavins.mavlink.router import Router
 from mavins.mavlink.settings import SessionSettings, StreamSettings
 from mavins.mavlink.sources import ARDUPILOT, PX4, SourceSettings
 from mavins.mavlink.vehicle import Due, Holder, Vehicle
@@ -103,6 +104,7 @@ class Session:
         self.peers = Peers(settings.max_peers, round(settings.peer_timeout * 1e6), self.dropped)
         self.packets_in = 0
         self.packets_out = 0
+        self.packets_routed = 0
         self._settings = settings
         self._streams = streams
         self._sources = sources
@@ -113,6 +115,7 @@ class Session:
         self._out: list[tuple[bytes, Hashable]] = []
         # a service sends each packet as soon as it is made; without one they wait for `datagrams`
         self._transmit = transmit or (lambda data, address: self._out.append((data, address)))
+        self._router = Router() if settings.route else None
         self._seen_sysids: set[int] = set()
         self._wanted_origins: list[OriginRequest] = []
 
@@ -129,6 +132,11 @@ class Session:
             return frames
         self.packets_in += len(frames)
         frames = self._let_in(frames, address, now_us)
+        if self._router is not None:
+            self._router.hear(frames, address)
+            for packet, to in self._router.forward(frames, address, self.peers):
+                self._transmit(packet, to)
+                self.packets_routed += 1
         msgids, sysids = frames.msgid.tolist(), frames.sysid.tolist()
         requests = {i: decode_packet(frames, i) for i, n in enumerate(msgids) if n in REQUESTS}
         trusted = self._settings.allow_remote_config or self._is_local(address)
@@ -181,6 +189,8 @@ class Session:
         for address in self.peers.expire(now_us):
             for vehicle in self.vehicles.values():
                 vehicle.forget_peer(address)
+            if self._router is not None:
+                self._router.forget(address)
 
     def datagrams(self) -> list[tuple[bytes, Hashable]]:
         """What is to be sent now: (bytes, address), in order."""

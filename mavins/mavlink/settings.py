@@ -102,6 +102,9 @@ class SessionSettings:
         bool,
         Doc("Take requests that change our state from other hosts too, not from this one only."),
     ] = False
+    route: Annotated[
+        bool, Doc("Forward packets between peers, so that one link serves a ground station and us.")
+    ] = False
     peer_timeout: Annotated[
         float,
         Gt(0),
