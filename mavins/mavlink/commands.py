@@ -121,7 +121,7 @@ class Commands:
         if command.number in CHANGING and not request.trusted:
             result, payloads = DENIED, list[Payload]()
         else:
-            handler = _HANDLERS.get(command.number)
+            handler = HANDLERS.get(command.number)
             result, payloads = (
                 (UNSUPPORTED, []) if handler is None else handler(command, vehicle, request.address)
             )
@@ -219,7 +219,7 @@ def _restart(command: Command, vehicle: Vehicle, address: Hashable) -> Answer:
     return (ACCEPTED, vehicle.news()) if carry_out(command, vehicle.estimator) else (DENIED, [])
 
 
-_HANDLERS: Final[dict[int, Callable[[Command, Vehicle, Hashable], Answer]]] = {
+HANDLERS: Final[dict[int, Callable[[Command, Vehicle, Hashable], Answer]]] = {
     SET_HOME: _set_home,
     CALIBRATE: _calibrate,
     RESTART: _restart,
