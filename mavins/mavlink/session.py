@@ -98,6 +98,18 @@ class Session:
         """A peer that receives without having sent."""
         self.peers[address] = Peer(None)
 
+    def hang_up(self, address: Hashable) -> None:
+        """The connection with an address ended: no more goes there, and others may speak for its vehicles at once.
+
+        A peer that was named by the user stays: the connection may come back.
+        """
+        peer = self.peers.get(address)
+        if peer is not None and peer.seen_us is not None:
+            del self.peers[address]
+        for vehicle in self.vehicles.values():
+            if vehicle.holder.address == address:
+                vehicle.holder.address = None
+
     def receive(self, data: bytes, address: Hashable, now_us: int) -> Frames:
         """Take one datagram; returns its packets that were let in (evaluation looks for truth among them)."""
         frames = scan(data, now_us)
@@ -170,7 +182,7 @@ class Session:
                 self.dropped["our own packets"] += len(echo)
                 continue
             vehicle = self.vehicles.get(sysid)
-            if vehicle is not None and vehicle.holder.address != address:
+            if vehicle is not None and vehicle.holder.address not in (None, address):
                 silent_us = now_us - vehicle.holder.seen_us
                 if silent_us <= self._settings.vehicle_timeout * 1e6:
                     out.update(at)

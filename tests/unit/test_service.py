@@ -57,7 +57,7 @@ def test_who_is_on_this_host(address: Any, local: bool) -> None:
 
 def test_each_link_carries_its_own_peers(tmp_path: Path) -> None:
     first, second = Wire(), Wire()
-    service = Service(Config(), [first, second], [("127.0.0.1", 9)])  # type: ignore[list-item]
+    service = Service(Config(), [first, second], [(0, "127.0.0.1", 9)])  # type: ignore[list-item]
     service.session.receive(imu(1, 1_000_000), HERE, NOW_US)
     service.session.receive(frame(heartbeat(6, 8), 255, 190, 0), (1, "127.0.0.1", 7), NOW_US)
     service.session.tick(NOW_US + 1)
