@@ -127,7 +127,7 @@ class StreamTransport:
                 data = connection.read()
                 pieces.append((data, connection.address))
                 if not data:
-                    self._end(connection, "closed by the other side")
+                    self._end(connection, "the other side hung up")
                     return
                 if not connection.was_heard:
                     connection.was_heard = True
@@ -237,4 +237,4 @@ class Reconnecting(StreamTransport):
 
     def _ended(self, connection: Connection, why: str) -> None:
         self.dropped[LOST] += 1
-        self._failed(f"lost, {why}" if connection.was_heard else why)
+        self._failed(f"lost, {why}")

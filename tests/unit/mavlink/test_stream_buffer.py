@@ -71,7 +71,8 @@ def test_any_split_gives_the_packets_of_the_whole(stream: bytes, cuts: list[int]
 
 
 @given(
-    st.lists(st.sampled_from([*CLEAN, UNKNOWN]), max_size=12), st.lists(st.integers(0, 4000), max_size=25)
+    st.lists(st.sampled_from([*CLEAN, UNKNOWN]), max_size=12),
+    st.lists(st.integers(0, 4000), max_size=25),
 )
 def test_a_clean_stream_shows_no_damage(parts: list[bytes], cuts: list[int]) -> None:
     stream = b"".join(parts)

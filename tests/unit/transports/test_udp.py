@@ -110,7 +110,9 @@ def test_parse_address(text: str, address: tuple[str, int]) -> None:
     assert parse_address(text) == address
 
 
-@pytest.mark.parametrize("text", ["", "host", "host:", "1:70000", "1:-5", "a:b:c", "14550x", "¹", "::1:14550"])
+@pytest.mark.parametrize(
+    "text", ["", "host", "host:", "1:70000", "1:-5", "a:b:c", "14550x", "¹", "::1:14550"]
+)
 def test_parse_address_refuses(text: str) -> None:
     with pytest.raises(TransportError, match="HOST:PORT"):
         parse_address(text)
