@@ -44,6 +44,8 @@ class SerialTransport(Reconnecting):
         self._device = device
         self._baud = baud
         try:
+            if not os.path.exists(device):
+                raise TransportError(f"{self.name}: no such device{_present()}")
             self._take(self._open())
         except TransportError:
             self.close()
@@ -83,7 +85,7 @@ def _close(port: Serial) -> None:
 def _why(baud: int, error: Exception) -> str:
     number = getattr(error, "errno", None)
     if number in (errno.ENOENT, errno.ENXIO, errno.ENODEV):
-        return f"no such device{_present()}"
+        return "no such device"
     if number == errno.EACCES:
         return "not permitted: sudo usermod -a -G dialout $USER, then log in again"
     if number in (errno.EAGAIN, errno.EBUSY):
@@ -97,7 +99,9 @@ def _why(baud: int, error: Exception) -> str:
 
 def _present() -> str:
     """The devices that are there, for a message."""
-    from serial.tools.list_ports import comports
-
+    try:
+        from serial.tools.list_ports import comports
+    except ImportError:
+        return ""
     devices = sorted(port.device for port in comports())
     return f" (there are {', '.join(devices)})" if devices else ""

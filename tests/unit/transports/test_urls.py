@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -82,10 +84,8 @@ def test_every_example_parses(kind: str) -> None:
 @given(st.sampled_from(sorted(EXAMPLES)), st.text(max_size=30))
 def test_no_text_raises_anything_else(kind: str, rest: str) -> None:
     for text in (rest, f"{kind}://{rest}", f"{EXAMPLES[kind]}?{rest}", f"{EXAMPLES[kind]}&{rest}"):
-        try:
+        with contextlib.suppress(TransportError):
             assert parse_url(text).kind in EXAMPLES
-        except TransportError:
-            pass
 
 
 @pytest.mark.parametrize("address", [("127.0.0.1", 1), ("::1", 14550), ("fe80::1%eth0", 0)])
