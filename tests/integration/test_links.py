@@ -62,6 +62,11 @@ class Service:
         (line,) = [line for line in self.lines if line.startswith(beginning)]
         return int(re.sub(r".*:", "", line))
 
+    def is_idle(self) -> bool:
+        """True once no more packets come: what waits when it is stopped is not read."""
+        counts = [json.loads(line)["packets_in"] for line in self.lines if line[:1] == "{"]
+        return len(counts) > 1 and counts[-1] == counts[-2] > 0
+
     def stop(self) -> None:
         assert self.process.poll() is None, self.errors
         self.process.terminate()
@@ -129,6 +134,7 @@ def fly(fd: int, listener: Listener, packets: list[tuple[int, bytes]], seed: int
 
 def judge(service: Service, listener: Listener, out: Path, sent: int) -> dict[str, Any]:
     """The flight arrived whole, and estimates came back."""
+    service.wait_for(service.is_idle)
     service.stop()
     summary: dict[str, Any] = json.loads((out / "summary.json").read_text())
     assert summary["service"]["packets_in"] == sent
@@ -147,7 +153,7 @@ def packets(flight_packets: Callable[[float], list[tuple[int, bytes]]]) -> list[
 def test_a_flight_over_tcp(
     start: Callable[..., Service], packets: list[tuple[int, bytes]], tmp_path: Path
 ) -> None:
-    service = start("--link", "tcpin://127.0.0.1:0", "--out", str(tmp_path), "--status", "off")
+    service = start("--link", "tcpin://127.0.0.1:0", "--out", str(tmp_path), "--status", "json")
     port = service.port("listening tcp 127.0.0.1:")
     listener = Listener()
     with socket.create_connection(("127.0.0.1", port), 10.0) as sock:
@@ -173,9 +179,9 @@ def test_a_flight_over_a_serial_line_watched_over_udp(
         station.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4 << 20)
         address = f"127.0.0.1:{station.getsockname()[1]}"
         url = f"serial://{device}?baud=921600"
-        options = ("--out", str(tmp_path), "--status", "off")
+        options = ("--out", str(tmp_path), "--status", "json")
         service = start("--link", url, "--gcs", address, *options, links=2)
-        assert service.lines == [f"open serial {device} 921600 baud", f"sending udp {address}"]
+        assert service.lines[:2] == [f"open serial {device} 921600 baud", f"sending udp {address}"]
         fly(end, listener, packets, 2)
         time.sleep(0.2)
         listener.take(os.read(end, 1 << 20))
@@ -207,9 +213,9 @@ def test_links_that_come_and_go_beside_one_that_stays(
         held.bind(("127.0.0.1", 0))
         port = held.getsockname()[1]
         links = ("--link", f"tcp://127.0.0.1:{port}", "--link", f"serial://{device}")
-        options = ("--udp", "127.0.0.1:0", "--out", str(tmp_path / "out"), "--status", "off")
+        options = ("--udp", "127.0.0.1:0", "--out", str(tmp_path / "out"), "--status", "json")
         service = start(*options, *links, links=3)
-        assert service.lines[1:] == [
+        assert service.lines[1:3] == [
             f"connecting tcp 127.0.0.1:{port}",
             f"open serial {device} 57600 baud",
         ]
@@ -251,7 +257,8 @@ def test_links_that_come_and_go_beside_one_that_stays(
         service.wait_for(beats_are_heard)
         assert flown.wait(30.0)
         thread.join()
-    service.stop()
+        service.wait_for(service.is_idle)
+        service.stop()
     os.close(end)
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["imu_samples"] == sum(packet[7] == HIGHRES_IMU for _, packet in packets) > 1000
