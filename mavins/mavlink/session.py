@@ -123,6 +123,17 @@ class Session:
         """A peer that receives without having sent."""
         self.peers.name(address)
 
+    def hang_up(self, address: Hashable) -> None:
+        """The connection with an address ended: no more goes there, and others may speak for its vehicles at once.
+
+        A peer that was named by the user stays: the connection may come back.
+        """
+        if self.peers.drop(address):
+            self._forget(address)
+        for vehicle in self.vehicles.values():
+            if vehicle.holder.address == address:
+                vehicle.holder.address = None
+
     def receive(self, data: bytes, address: Hashable, now_us: int) -> Frames:
         """Take one datagram; returns its packets that were let in (evaluation looks for truth among them)."""
         frames = scan(data, now_us)
@@ -187,10 +198,14 @@ class Session:
                     self._send(vehicle, payload, address)
                     self._record(vehicle, payload, now_us)
         for address in self.peers.expire(now_us):
-            for vehicle in self.vehicles.values():
-                vehicle.forget_peer(address)
-            if self._router is not None:
-                self._router.forget(address)
+            self._forget(address)
+
+    def _forget(self, address: Hashable) -> None:
+        """A peer has gone."""
+        for vehicle in self.vehicles.values():
+            vehicle.forget_peer(address)
+        if self._router is not None:
+            self._router.forget(address)
 
     def datagrams(self) -> list[tuple[bytes, Hashable]]:
         """What is to be sent now: (bytes, address), in order."""
@@ -215,7 +230,7 @@ class Session:
         for sysid in sorted(set(sysids) - taken):
             at = [i for i, s in enumerate(sysids) if s == sysid and i not in out]
             vehicle = self.vehicles.get(sysid)
-            if vehicle is not None and vehicle.holder.address != address:
+            if vehicle is not None and vehicle.holder.address not in (None, address):
                 silent_us = now_us - vehicle.holder.seen_us
                 if silent_us <= self._settings.vehicle_timeout * 1e6:
                     out.update(at)

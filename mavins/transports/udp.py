@@ -1,14 +1,15 @@
-"""UDP over IPv4: a bound socket that hears everyone, or a client that talks to one address."""
+"""UDP: a bound socket that hears everyone, or a client that talks to one address."""
 
 from __future__ import annotations
 
-import errno
 import select
 import socket
+from collections import Counter
 from typing import Final
 
 from mavins.errors import TransportError
-from mavins.transports.base import Address, Datagram
+from mavins.transports.base import Address, Datagram, address_text
+from mavins.transports.sockets import bound, family_of, resolve
 
 RECEIVE_BUFFER: Final = 4 << 20
 """Bytes asked of the system: a second of many streams, should the receiver be busy (it may grant
@@ -22,42 +23,48 @@ MAX_DRAIN: Final = 1024
 class UdpTransport:
     """One UDP socket that never blocks; made by `bind` or `client`."""
 
+    is_stream = False
+    trusted = False
+
     def __init__(self, sock: socket.socket, peer: Address | None = None) -> None:
         sock.setblocking(False)
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
         self._socket = sock
         self._peer = peer
         self._address: Address = sock.getsockname()[:2]
+        self.peers: tuple[Address, ...] = () if peer is None else (peer,)
+        self.announcement = (
+            f"listening udp {address_text(self._address)}"
+            if peer is None
+            else f"sending udp {address_text(peer)}"
+        )
         self.send_errors = 0
         self.receive_errors = 0
 
     @classmethod
     def bind(cls, host: str, port: int) -> UdpTransport:
-        """Listen on a port (0: any free one) of the interface `host`; an empty host means all
-        interfaces.
+        """Listen on a port (0: any free one) of the interface `host`; an empty host means all IPv4
+        interfaces, `::` those of IPv6 too.
         """
-        sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        try:
-            sock.bind((resolve(host)[0] if host else "", port))
-        except OSError as error:
-            sock.close()
-            raise TransportError(_why(host, port, error)) from error
-        except TransportError:
-            sock.close()
-            raise
-        return cls(sock)
+        return cls(bound(socket.SOCK_DGRAM, host, port))
 
     @classmethod
     def client(cls, host: str, port: int) -> UdpTransport:
         """Talk to one address from a free port; datagrams of others are not heard."""
         peer = resolve(host or "127.0.0.1", port)
-        sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        sock = socket.socket(family_of(peer[0]), socket.SOCK_DGRAM)
         try:
             sock.connect(peer)
         except OSError as error:
             sock.close()
-            raise TransportError(f"cannot send to {host}:{port}: {error.strerror}") from error
+            where = address_text((host, port))
+            raise TransportError(f"cannot send to {where}: {error.strerror}") from error
         return cls(sock, peer)
+
+    @property
+    def dropped(self) -> Counter[str]:
+        """What was not sent, as a link counts it."""
+        return Counter({"not sent": self.send_errors})
 
     @property
     def address(self) -> Address:
@@ -82,7 +89,8 @@ class UdpTransport:
         datagrams: list[Datagram] = []
         for _ in range(MAX_DRAIN):
             try:
-                datagrams.append(self._socket.recvfrom(MAX_DATAGRAM))
+                data, address = self._socket.recvfrom(MAX_DATAGRAM)
+                datagrams.append((data, address[:2]))
             except BlockingIOError:
                 break
             except OSError:
@@ -104,30 +112,9 @@ class UdpTransport:
         except OSError:
             self.send_errors += 1
 
+    def tick(self) -> None:
+        """Nothing is due by the clock."""
+
     def close(self) -> None:
         """Close the socket."""
         self._socket.close()
-
-
-def resolve(host: str, port: int = 0) -> Address:
-    """The IPv4 address of a host name; TransportError where there is none."""
-    try:
-        found = socket.getaddrinfo(host, port, socket.AF_INET, socket.SOCK_DGRAM)
-    except (OSError, UnicodeError, OverflowError) as error:
-        raise TransportError(f"no host is called '{host}'") from error
-    address = found[0][4]
-    return str(address[0]), int(address[1])
-
-
-def _why(host: str, port: int, error: OSError) -> str:
-    where = f"udp {host or '0.0.0.0'}:{port}"
-    if error.errno == errno.EADDRINUSE:
-        return (
-            f"{where} is in use by another program: take another port, or, where a ground station "
-            "on this host holds 14550, `mavins serve --udp 14540 --gcs 127.0.0.1:14550`"
-        )
-    if error.errno == errno.EADDRNOTAVAIL:
-        return f"{where}: no interface of this host has that address"
-    if error.errno == errno.EACCES:
-        return f"{where}: not permitted; take a port above 1023"
-    return f"{where}: {error.strerror}"

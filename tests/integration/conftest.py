@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import threading
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 from pathlib import Path
@@ -86,8 +87,12 @@ def numbers(message: Any) -> Iterator[float]:
 class Wire:
     """What the service takes for a link: it looks at every datagram that goes out."""
 
+    is_stream = trusted = False
+    peers = ()
+
     def __init__(self, rig: Rig) -> None:
         self._rig = rig
+        self.dropped: Counter[str] = Counter()
 
     def send(self, data: bytes, address: tuple[str, int]) -> None:
         self._rig.heard(data, (0, *address))
@@ -264,6 +269,12 @@ def make_rig(tmp_path: Path) -> Callable[..., Rig]:
 @pytest.fixture
 def fly() -> Callable[..., list[Arrival]]:
     return arrivals
+
+
+@pytest.fixture
+def flight_packets() -> Callable[[float], list[tuple[int, bytes]]]:
+    """The first seconds of a flight as (us since boot, packet)."""
+    return lambda seconds: list(flight("quad_mission", seconds, 0, 1))
 
 
 START_LIMIT = 120.0

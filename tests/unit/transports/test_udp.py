@@ -99,13 +99,55 @@ def test_a_closed_transport_is_quiet() -> None:
 
 @pytest.mark.parametrize(
     ("text", "address"),
-    [("14550", ("", 14550)), ("a.b:1", ("a.b", 1)), ("127.0.0.1:0", ("127.0.0.1", 0))],
+    [
+        ("14550", ("", 14550)),
+        ("a.b:1", ("a.b", 1)),
+        ("127.0.0.1:0", ("127.0.0.1", 0)),
+        ("[::1]:14550", ("::1", 14550)),
+    ],
 )
 def test_parse_address(text: str, address: tuple[str, int]) -> None:
     assert parse_address(text) == address
 
 
-@pytest.mark.parametrize("text", ["", "host", "host:", "1:70000", "1:-5", "a:b:c", "14550x", "¹"])
+@pytest.mark.parametrize(
+    "text", ["", "host", "host:", "1:70000", "1:-5", "a:b:c", "14550x", "¹", "::1:14550"]
+)
 def test_parse_address_refuses(text: str) -> None:
     with pytest.raises(TransportError, match="HOST:PORT"):
         parse_address(text)
+
+
+def test_ipv6_both_ways() -> None:
+    server = UdpTransport.bind("::1", 0)
+    assert server.announcement == f"listening udp [::1]:{server.address[1]}"
+    client = UdpTransport.client("::1", server.address[1])
+    client.send(b"there")
+    ((data, address),) = server.recv(1.0)
+    assert (data, address[0]) == (b"there", "::1")
+    server.send(b"back", address)
+    assert drained(client, 1) == [b"back"]
+    client.close()
+    server.close()
+
+
+def test_both_families_at_one_port() -> None:
+    server = UdpTransport.bind("::", 0)
+    for host, seen in (("127.0.0.1", "::ffff:127.0.0.1"), ("::1", "::1")):
+        client = UdpTransport.client(host, server.address[1])
+        client.send(b"there")
+        ((_, address),) = server.recv(1.0)
+        assert address[0] == seen
+        server.send(b"back", address)
+        assert drained(client, 1) == [b"back"]
+        client.close()
+    server.close()
+
+
+def test_a_link_to_one_address_sends_to_it_unasked(server: UdpTransport) -> None:
+    client = UdpTransport.client(*server.address)
+    assert client.peers == (server.address,)
+    assert client.announcement == f"sending udp 127.0.0.1:{server.address[1]}"
+    assert server.peers == ()
+    assert server.announcement == f"listening udp 127.0.0.1:{server.address[1]}"
+    client.close()
