@@ -9,7 +9,7 @@ import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from mavins.service import Address
@@ -26,7 +26,7 @@ examples:
   mavins serve --udp 14540 --gcs 127.0.0.1:14550      a ground station here holds 14550 itself
   mavins serve --udp 14550 --record flight.tlog --out result
   mavins serve --udp 127.0.0.1:14551 --status json
-  mavins serve --link 'serial:///dev/ttyAMA0?baud=921600' --gcs 192.168.1.20:14550
+  mavins serve --link 'serial:///dev/ttyAMA0?baud=921600' --gcs 192.168.1.20:14550 --route
 
 links:
   udp://:14550                          as --udp 14550; udp://[::]:14550 is IPv4 and IPv6
@@ -67,6 +67,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--filter", metavar="NAME", help="the filter (default: the configured one)")
     parser.add_argument("--config", type=Path, metavar="FILE", help="settings in YAML")
     parser.add_argument(
+        "--persona",
+        choices=("vehicle", "companion"),
+        help="a vehicle of our own, or a component of the one we listen to (default: vehicle)",
+    )
+    parser.add_argument(
+        "--route",
+        action="store_true",
+        help="forward packets between peers: one link then serves a ground station and us",
+    )
+    parser.add_argument(
+        "--allow-remote-config",
+        action="store_true",
+        help="take parameters, origins and resets from other hosts too",
+    )
+    parser.add_argument(
         "--record", type=Path, metavar="FILE.tlog", help="record every packet in and out"
     )
     parser.add_argument(
@@ -95,7 +110,7 @@ def run(args: argparse.Namespace) -> int:
     if not urls:
         raise TransportError("nothing to listen to: give --udp 14550, or --link URL")
     gcs = [parse_address(text, "127.0.0.1") for text in args.gcs]
-    config = load(args.config, {} if args.filter is None else {"filter": args.filter})
+    config = load(args.config, _overrides(args))
 
     from mavins.cli.status import make_renderer
     from mavins.service import Service, check_outputs
@@ -132,6 +147,17 @@ def run(args: argparse.Namespace) -> int:
         for number, handler in before.items():
             signal.signal(number, handler)
     return 0
+
+
+def _overrides(args: argparse.Namespace) -> dict[str, Any]:
+    """What the command line says over the configuration file."""
+    given = {
+        "filter": args.filter,
+        "mavlink.persona": args.persona,
+        "mavlink.route": args.route or None,
+        "mavlink.allow_remote_config": args.allow_remote_config or None,
+    }
+    return {key: value for key, value in given.items() if value is not None}
 
 
 def _with_stations(
