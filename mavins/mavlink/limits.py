@@ -130,49 +130,47 @@ class Bucket:
 class Gate:
     """Admits datagrams. `dropped` counts the others by reason.
 
-    The session says who is a vehicle and who a peer, and when they are no more; it bounds their number. Nothing is
-    kept of an unknown address.
+    The session says who is a vehicle and who a peer; it bounds their number. Nothing is kept of an unknown address.
     """
 
     def __init__(self, settings: LimitSettings, now_us: int) -> None:
         self.dropped: Counter[str] = Counter()
         self._settings = settings
         self._allowed = AllowList(networks(settings.allow))
-        self._known: dict[Hashable, Bucket] = {}
-        self._vehicles: set[Hashable] = set()
+        self._vehicles: dict[Hashable, Bucket] = {}
+        self._peers: dict[Hashable, Bucket] = {}
         self._unknown = Bucket(settings.unknown_rate, now_us)
+
+    def know(self, vehicles: Iterable[Hashable], peers: Iterable[Hashable], now_us: int) -> None:
+        """Who is known from now on: the addresses that hold a vehicle, and all that we send to."""
+        rates = self._settings.vehicle_rate, self._settings.peer_rate
+        self._vehicles = _buckets(self._vehicles, vehicles, rates[0], now_us)
+        self._peers = _buckets(self._peers, peers, rates[1], now_us)
 
     def admits(self, data: bytes, address: Hashable, host: str, now_us: int) -> bool:
         """True for a datagram that shall be scanned."""
-        bucket = self._known.get(address)
-        if bucket is not None:
-            if bucket.take(now_us):
-                return True
-            is_vehicle = address in self._vehicles
-            self.dropped["vehicle over its rate" if is_vehicle else "peer over its rate"] += 1
-            return False
-        if not starts_a_packet(data):
+        if (bucket := self._vehicles.get(address)) is not None:
+            reason = "vehicle over its rate"
+        elif (bucket := self._peers.get(address)) is not None:
+            reason = "peer over its rate"
+        elif not starts_a_packet(data):
             self.dropped["no packet from an unknown address"] += 1
+            return False
         elif host not in self._allowed:
             self.dropped["address not on the allow-list"] += 1
-        elif not self._unknown.take(now_us):
-            self.dropped["unknown addresses over their rate"] += 1
+            return False
         else:
+            bucket, reason = self._unknown, "unknown addresses over their rate"
+        if bucket.take(now_us):
             return True
+        self.dropped[reason] += 1
         return False
 
-    def know(self, address: Hashable, is_vehicle: bool, now_us: int) -> None:
-        """Give an address a bucket of its own; one that has become a vehicle's gets a larger one."""
-        if address not in self._known or (is_vehicle and address not in self._vehicles):
-            rate = self._settings.vehicle_rate if is_vehicle else self._settings.peer_rate
-            self._known[address] = Bucket(rate, now_us)
-        if is_vehicle:
-            self._vehicles.add(address)
 
-    def forget(self, address: Hashable) -> None:
-        """An address that is neither a vehicle's nor a peer's any more."""
-        self._known.pop(address, None)
-        self._vehicles.discard(address)
+def _buckets(
+    before: dict[Hashable, Bucket], addresses: Iterable[Hashable], rate: float, now_us: int
+) -> dict[Hashable, Bucket]:
+    return {a: before.get(a) or Bucket(rate, now_us) for a in addresses}
 
 
 def starts_a_packet(data: bytes) -> bool:
