@@ -12,7 +12,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from mavins.errors import OutputError
-from mavins.logs.tlog import STAMP_LENGTH, TlogWriter
+from mavins.logs.tlog import TlogWriter
+from mavins.mavlink.codec.framing import STAMP_LENGTH
 
 
 class Recording:

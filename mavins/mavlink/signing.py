@@ -57,7 +57,7 @@ class SigningSettings:
     unsigned: Annotated[
         Unsigned,
         Doc(
-            "Unsigned packets that are taken: none, those from this host (loopback and serial ports), or all. "
+            "Unsigned packets that are taken: none, those of this host and of trusted links, or all. "
             "RADIO_STATUS always is, a wrong signature never."
         ),
     ] = "local"

@@ -1,7 +1,7 @@
 """A flood beside a flight, on loopback: what it does to the estimate's latency and to the vehicle's packets.
 
-`bench_flood.py [RATE] [garbage|peers] [SECONDS]`: 50,000 datagrams/s of garbage unless given, for the last two thirds of
-20 s. `peers` are right heartbeats from ever other sysids. The generator is a process of its own with eight ports.
+`bench_flood.py [RATE] [garbage|peers] [SECONDS]`: 50,000 datagrams/s of garbage unless given, in the last two thirds
+of 20 s. `peers` are right heartbeats from ever other sysids. The generator is a process of its own with eight ports.
 """
 
 from __future__ import annotations
