@@ -35,6 +35,14 @@ def datagrams(kind: str) -> list[bytes]:
     return [source.randbytes(source.randint(9, 90)) for _ in range(1000)]
 
 
+class Station(Watch):
+    """Knows whether all that it sent was answered."""
+
+    def is_answered(self, t_us: int) -> bool:
+        """True once a position of the last 0.1 s before `t_us` came."""
+        return bool(self.delays) and self.delays[-1][0] > t_us // 1000 - 100
+
+
 def flood(port: int, rate: float, kind: str, seconds: float, sent: Synchronized[int]) -> None:
     """Send at `rate` or as fast as this goes, from several ports."""
     sockets = [socket.socket(type=socket.SOCK_DGRAM) for _ in range(PORTS)]
@@ -86,7 +94,7 @@ def run(rate: float, kind: str, seconds: float) -> None:
             port = int(process.stdout.readline().rpartition(":")[2])
             sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4 << 20)
             sock.connect(("127.0.0.1", port))
-            watch = Watch(sock)
+            watch = Station(sock)
             flood_us = START_US + round(seconds * 1e6 / 3)
             flooding = multiprocessing.Process(
                 target=flood, args=(port, rate, kind, seconds * 2 / 3 - 0.2, sent)
@@ -103,8 +111,10 @@ def run(rate: float, kind: str, seconds: float) -> None:
                     samples += 1
                     watch.sent[t_us // 1000] = time.perf_counter()
                 sock.send(packet)
-            watch.drain(0.2)
             cpu, now = cpu_of(process.pid), time.perf_counter()
+            # one that was held up has yet to take what waits in its buffers
+            while time.perf_counter() < now + 10.0 and not watch.is_answered(stream[-1][0]):
+                watch.drain(0.2)
             drops = kernel_drops(port)
             flooding.join(5.0)
         finally:
