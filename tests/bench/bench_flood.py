@@ -20,6 +20,7 @@ from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
 
 from bench_latency import HIGHRES_IMU, Watch, cpu_of, flight, message_of
+
 from mavins.mavlink.codec import frame, heartbeat
 from sitl.simulation import START_US
 
