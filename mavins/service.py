@@ -15,12 +15,16 @@ from mavins import __version__
 from mavins.config import Config, to_yaml
 from mavins.estimator.estimator import Estimator, Outputs
 from mavins.evaluation.live import HIL_STATE, LiveTruth
-from mavins.logs.tlog import TlogWriter
+from mavins.logs.recording import Recording
+from mavins.mavlink.codec import Frames
+from mavins.mavlink.limits import Gate, may_change
 from mavins.mavlink.session import Session
+from mavins.mavlink.signing import Verdict, takes_unsigned
 from mavins.mavlink.stream_buffer import StreamBuffer
 from mavins.mavlink.vehicle import Vehicle
 from mavins.replay import grid_us, summarize
 from mavins.results import ResultWriter, check_folder, write_json, write_text
+from mavins.signing_store import Signing
 from mavins.snapshot import aiding_status, estimate_status
 from mavins.status import StatusSnapshot, VehicleStatus
 from mavins.transports.base import Link
@@ -69,8 +73,9 @@ class Service:
         links: Sequence[Link],
         gcs: Sequence[Address] = (),
         out: Path | None = None,
-        record: Path | None = None,
+        recording: Recording | None = None,
         status: Callable[[StatusSnapshot], None] | None = None,
+        signing: Signing | None = None,
     ) -> None:
         self._config = config
         self._links = links
@@ -79,10 +84,13 @@ class Service:
         self._out = out
         self._status = status
         self._watches: dict[int, Watch] = {}
-        self._recorder = TlogWriter(record) if record is not None else None
+        self._recorder = recording
+        self._signing = signing
+        self._signers = [] if signing is None else [signing.signer(k) for k in range(len(links))]
         self._unix_offset_us = time.time_ns() // 1000 - time.monotonic_ns() // 1000
         self._started = time.monotonic()
         self._cpu_started = time.process_time()
+        self._gate = Gate(config.limits, self._now_us())
         self.session = Session(
             config.mavlink,
             config.streams,
@@ -91,6 +99,7 @@ class Service:
             self._may_change,
             self._recorder,
             self._transmit,
+            *(() if signing is None else (self._verify, self._seal)),
         )
         for address in gcs:
             self.session.add_peer(address)
@@ -131,6 +140,10 @@ class Service:
             if packets := buffer.overdue(now_us):
                 self._take(packets, address, now_us)
         self.session.tick(now_us)
+        vehicles = [vehicle.holder.address for vehicle in self.session.vehicles.values()]
+        self._gate.know(vehicles, self.session.peers, now_us)
+        for index, link in enumerate(self._links):
+            link.prefer([a[1:] for a in vehicles if isinstance(a, tuple) and a[0] == index])
 
     def _now_us(self) -> int:
         """Microseconds since 1970 that never step back."""
@@ -142,7 +155,8 @@ class Service:
         for data, (host, port) in link.recv(0.0):
             address, now_us = (index, host, port), self._now_us()
             if not link.is_stream:
-                self._take(data, address, now_us)
+                if self._gate.admits(data, address, host, now_us):
+                    self._take(data, address, now_us)
             elif data:
                 buffer = self._buffers.setdefault(address, StreamBuffer())
                 if packets := buffer.push(data, now_us):
@@ -167,13 +181,31 @@ class Service:
 
     def _may_change(self, address: Hashable) -> bool:
         """True for who may change the state: programs of this host, and lines that the user trusts."""
-        return is_local(address) or (isinstance(address, tuple) and address[0] in self._trusted)
+        if not isinstance(address, tuple):
+            return False
+        return address[0] in self._trusted or may_change(str(address[1]), allow_remote=False)
+
+    def _verify(self, frames: Frames, address: Hashable) -> Verdict:
+        """Which packets may come in, by their signatures."""
+        assert self._signing is not None
+        takes = takes_unsigned(self._config.signing.unsigned, self._may_change(address))
+        return self._signing.verifier.check(frames, takes)
+
+    def _seal(self, packet: bytes, address: Hashable) -> bytes:
+        """A packet of ours with its signature."""
+        assert isinstance(address, tuple)
+        return self._signers[address[0]].sign(packet)
 
     def _dropped(self) -> dict[str, int]:
         """What was not used and not sent, by reason."""
         dropped = Counter(self.session.dropped)
+        dropped.update(self._gate.dropped)
         for link in self._links:
             dropped.update(link.dropped)
+        if self._recorder is not None:
+            dropped["not recorded"] += self._recorder.lost
+        if self._signing is not None:
+            dropped["signing timestamps not saved"] += self._signing.save_errors
         return {reason: n for reason, n in dropped.items() if n}
 
     def _transmit(self, data: bytes, address: Hashable) -> None:
@@ -208,6 +240,8 @@ class Service:
                 watch.writer.flush()
         if self._recorder is not None:
             self._recorder.flush()
+        if self._signing is not None:
+            self._signing.keep(self._now_us())
 
     def snapshot(self, now: float) -> StatusSnapshot:
         """The service as the live status shows it."""
@@ -245,6 +279,8 @@ class Service:
         with contextlib.ExitStack() as stack:
             for link in self._links:
                 stack.callback(link.close)
+            if self._signing is not None:
+                stack.callback(self._signing.close)
             if self._recorder is not None:
                 stack.callback(self._recorder.close)
             for sysid, watch in self._watches.items():

@@ -11,6 +11,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from mavins.cli import record, signing
+
 if TYPE_CHECKING:
     from mavins.service import Address
     from mavins.transports.base import Link, Say
@@ -81,9 +83,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="take parameters, origins and resets from other hosts too",
     )
-    parser.add_argument(
-        "--record", type=Path, metavar="FILE.tlog", help="record every packet in and out"
-    )
+    record.add_arguments(parser)
+    signing.add_argument(parser)
     parser.add_argument(
         "--out",
         type=Path,
@@ -134,7 +135,15 @@ def run(args: argparse.Namespace) -> int:
     before = {n: signal.signal(n, lambda n, _: asked.append(n)) for n in STOP_SIGNALS}
     try:
         links = _open(urls, say)
-        service = Service(config, links, stations, args.out, args.record, renderer.update)
+        service = Service(
+            config,
+            links,
+            stations,
+            args.out,
+            record.recording_of(args, say),
+            renderer.update,
+            signing.signing_of(args),
+        )
         for link in links:
             print(link.announcement, flush=True)
         # what is here by now stays: the collector need not look at it again while samples wait

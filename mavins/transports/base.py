@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Protocol, TypeAlias
 
 from mavins.errors import TransportError
@@ -64,6 +64,9 @@ class Link(Transport, Protocol):
 
     def fileno(self) -> int:
         """A descriptor that is readable when `recv` has something to do, the same one for life."""
+
+    def prefer(self, peers: Collection[Address]) -> None:
+        """Whose data shall not wait behind that of all others, where that can be had."""
 
     def tick(self) -> None:
         """What is due by the clock, such as another attempt to connect; some ten times a second."""

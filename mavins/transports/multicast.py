@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+from collections.abc import Collection
 
 from mavins.errors import TransportError
 from mavins.transports.base import Address, Datagram, address_text
@@ -32,6 +33,9 @@ class MulticastTransport(UdpTransport):
 
     def _drain(self) -> list[Datagram]:
         return [(data, self._group) for data, sender in super()._drain() if sender != self._own]
+
+    def prefer(self, peers: Collection[Address]) -> None:
+        """All members are one address."""
 
     def send(self, data: bytes, address: Address | None = None) -> None:
         """Send one datagram to the group; a failure is counted, never raised."""

@@ -11,7 +11,7 @@ import os
 import selectors
 import time
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Final
 
 from mavins.transports.base import Address, Datagram, Say
@@ -175,6 +175,9 @@ class StreamTransport:
 
     def _ended(self, connection: Connection, why: str) -> None:
         """A connection is gone."""
+
+    def prefer(self, peers: Collection[Address]) -> None:
+        """Each connection has a buffer of its own."""
 
     def tick(self) -> None:
         """Nothing is due by the clock."""

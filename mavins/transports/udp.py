@@ -1,10 +1,17 @@
-"""UDP: a bound socket that hears everyone, or a client that talks to one address."""
+"""UDP: a bound socket that hears everyone, or a client that talks to one address.
+
+A bound one opens a socket more at the same port for each preferred peer (a vehicle), connected to it. The kernel then
+puts that peer's datagrams into a buffer of their own, which a flood from elsewhere cannot fill; they are read first.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import select
 import socket
+import struct
 from collections import Counter
+from collections.abc import Collection
 from typing import Final
 
 from mavins.errors import TransportError
@@ -16,8 +23,12 @@ RECEIVE_BUFFER: Final = 4 << 20
 less).
 """
 MAX_DATAGRAM: Final = 65535
-MAX_DRAIN: Final = 1024
-"""Datagrams handed over at once, so that a flood cannot keep the caller from its other work."""
+MAX_DRAIN: Final = 64
+"""Datagrams of a socket handed over at once, so that a flood cannot keep the caller from its other work."""
+MAX_BACKLOG: Final = 1 << 14
+"""Datagrams that are read before a preferred peer has its own socket, so that none of its overtakes another."""
+_SO_MEMINFO: Final = 55
+_MEMINFO: Final = struct.Struct("9I")
 
 
 class UdpTransport:
@@ -30,6 +41,11 @@ class UdpTransport:
         sock.setblocking(False)
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
         self._socket = sock
+        self._preferred: dict[Address, socket.socket] = {}
+        self._backlog: list[Datagram] = []
+        self._poll = select.epoll() if peer is None and hasattr(select, "epoll") else None
+        if self._poll is not None:
+            self._poll.register(sock, select.EPOLLIN)
         self._peer = peer
         self._address: Address = sock.getsockname()[:2]
         self.peers: tuple[Address, ...] = () if peer is None else (peer,)
@@ -40,6 +56,8 @@ class UdpTransport:
         )
         self.send_errors = 0
         self.receive_errors = 0
+        self._lost = 0
+        self._lost_preferred = 0
 
     @classmethod
     def bind(cls, host: str, port: int) -> UdpTransport:
@@ -63,8 +81,15 @@ class UdpTransport:
 
     @property
     def dropped(self) -> Counter[str]:
-        """What was not sent, as a link counts it."""
-        return Counter({"not sent": self.send_errors})
+        """What was not sent, and what the kernel had no room for, as a link counts it."""
+        return Counter(
+            {
+                "not sent": self.send_errors,
+                "dropped by the kernel": self._lost + _kernel_drops(self._socket),
+                "dropped by the kernel, of vehicles": self._lost_preferred
+                + sum(map(_kernel_drops, self._preferred.values())),
+            }
+        )
 
     @property
     def address(self) -> Address:
@@ -73,32 +98,80 @@ class UdpTransport:
 
     def fileno(self) -> int:
         """The file descriptor, for a selector; -1 once closed."""
-        return self._socket.fileno()
+        if self._poll is None or self._poll.closed:
+            return self._socket.fileno()
+        return self._poll.fileno()
 
     def recv(self, timeout: float = 0.0) -> list[Datagram]:
-        """All datagrams that wait; when none does, wait up to `timeout` s (0: not at all) for the
-        first.
+        """Datagrams that wait, those of preferred peers first; when none does, wait up to `timeout` s
+        (0: not at all) for the first.
         """
         datagrams = self._drain()
         if not datagrams and timeout > 0.0 and self.fileno() >= 0:
-            select.select([self._socket], [], [], timeout)
+            select.select([self.fileno()], [], [], timeout)
             datagrams = self._drain()
         return datagrams
 
-    def _drain(self) -> list[Datagram]:
-        datagrams: list[Datagram] = []
-        for _ in range(MAX_DRAIN):
+    def prefer(self, peers: Collection[Address]) -> None:
+        """Whose datagrams shall neither wait behind nor be lost to those of all others, from now on."""
+        if self._poll is None or peers == self._preferred.keys():
+            return
+        for address in self._preferred.keys() - set(peers):
+            sock = self._preferred.pop(address)
+            self._read(sock, MAX_BACKLOG, self._backlog)
+            self._poll.unregister(sock)
+            self._lost_preferred += _kernel_drops(sock)
+            sock.close()
+        for address in set(peers) - self._preferred.keys():
+            with contextlib.suppress(OSError):  # without one it is heard as before
+                sock = self._connected(address)
+                self._read(self._socket, MAX_BACKLOG, self._backlog)
+                self._preferred[address] = sock
+                self._poll.register(sock, select.EPOLLIN)
+
+    def _connected(self, peer: Address) -> socket.socket:
+        """A socket at our own port that hears one peer; no other program may come to that port meanwhile or later."""
+        sock = socket.socket(self._socket.family, socket.SOCK_DGRAM)
+        try:
+            if sock.family == socket.AF_INET6:
+                only = self._socket.getsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY)
+                sock.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, only)
+            sock.setblocking(False)
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
+            both = (self._socket, sock)
+            for each in both:
+                each.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             try:
-                data, address = self._socket.recvfrom(MAX_DATAGRAM)
+                sock.bind(self._socket.getsockname())
+                sock.connect(peer)
+            finally:
+                for each in both:
+                    each.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)
+        except OSError:
+            sock.close()
+            raise
+        return sock
+
+    def _drain(self) -> list[Datagram]:
+        datagrams, self._backlog = self._backlog, []
+        for sock in self._preferred.values():
+            self._read(sock, MAX_DRAIN, datagrams)
+        self._read(self._socket, MAX_DRAIN, datagrams)
+        return datagrams
+
+    def _read(self, sock: socket.socket, limit: int, datagrams: list[Datagram]) -> None:
+        """Append what waits at a socket."""
+        for _ in range(limit):
+            try:
+                data, address = sock.recvfrom(MAX_DATAGRAM)
                 datagrams.append((data, address[:2]))
             except BlockingIOError:
                 break
             except OSError:
                 # an earlier datagram of ours was refused (ICMP), or the socket is closed
                 self.receive_errors += 1
-                if self.fileno() < 0:
+                if sock.fileno() < 0:
                     break
-        return datagrams
 
     def send(self, data: bytes, address: Address | None = None) -> None:
         """Send one datagram (a client: to its peer); refusals and full buffers are counted, never
@@ -116,5 +189,20 @@ class UdpTransport:
         """Nothing is due by the clock."""
 
     def close(self) -> None:
-        """Close the socket."""
-        self._socket.close()
+        """Close the sockets."""
+        self._lost = self.dropped["dropped by the kernel"]
+        self._lost_preferred = self.dropped["dropped by the kernel, of vehicles"]
+        for sock in (*self._preferred.values(), self._socket):
+            sock.close()
+        self._preferred.clear()
+        if self._poll is not None:
+            self._poll.close()
+
+
+def _kernel_drops(sock: socket.socket) -> int:
+    """Datagrams that found the buffer of a socket full, where the system tells (Linux)."""
+    try:
+        content = sock.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, _MEMINFO.size)
+        return int(_MEMINFO.unpack(content)[8])
+    except (OSError, struct.error):
+        return 0

@@ -20,6 +20,7 @@ import pytest
 from pymavlink.dialects.v20 import all as dialect
 
 from mavins.config import Config
+from mavins.logs.recording import Recording
 from mavins.mavlink.codec import (
     Payload,
     attitude,
@@ -108,7 +109,7 @@ class Rig:
         self.out = folder / "live"
         self.log = folder / "live.tlog"
         self.config = config or Config()
-        self.service = Service(self.config, [Wire(self)], (), self.out, self.log)  # type: ignore[list-item]
+        self.service = Service(self.config, [Wire(self)], (), self.out, Recording(self.log))  # type: ignore[list-item]
         self.sent: list[tuple[int, Any, Any]] = []
         """(stamp in us, address, message) of all that went out."""
         self.tap: Callable[[bytes], None] | None = None

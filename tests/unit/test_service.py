@@ -12,6 +12,7 @@ import pytest
 
 from mavins.config import Config
 from mavins.errors import OutputError
+from mavins.logs.recording import Recording
 from mavins.mavlink.codec import frame, heartbeat, highres_imu
 from mavins.service import Service, check_outputs, is_local
 from mavins.types import ImuSample
@@ -91,7 +92,7 @@ def test_each_link_carries_its_own_peers(tmp_path: Path) -> None:
 @pytest.mark.jit
 def test_files_of_two_vehicles(tmp_path: Path) -> None:
     out, log = tmp_path / "out", tmp_path / "flight.tlog"
-    service = Service(Config(), [Wire()], (), out, log)  # type: ignore[list-item]
+    service = Service(Config(), [Wire()], (), out, Recording(log))  # type: ignore[list-item]
     for k in range(5):
         for sysid in (4, 9):
             address = (0, "127.0.0.1", 5000 + sysid)
@@ -138,7 +139,7 @@ def test_what_fails_at_the_end_does_not_keep_the_rest_open(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     wire = Wire()
-    service = Service(Config(), [wire], (), tmp_path / "out", tmp_path / "x.tlog")  # type: ignore[list-item]
+    service = Service(Config(), [wire], (), tmp_path / "out", Recording(tmp_path / "x.tlog"))  # type: ignore[list-item]
     service.session.receive(imu(4, 1_000_000), HERE, NOW_US)
 
     def full(path: Path, content: Any) -> None:
