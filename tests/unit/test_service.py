@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -13,8 +14,11 @@ import pytest
 from mavins.config import Config
 from mavins.errors import OutputError
 from mavins.logs.recording import Recording
-from mavins.mavlink.codec import frame, heartbeat, highres_imu
+from mavins.logs.tlog import read_tlog
+from mavins.mavlink.codec import fields_of, frame, heartbeat, highres_imu, payload, scan
+from mavins.mavlink.signing import Clock, Key, Signer, SigningSettings, Verifier, is_signed
 from mavins.service import Service, check_outputs, is_local
+from mavins.signing_store import Signing
 from mavins.types import ImuSample
 
 # a flight through the estimator takes minutes where nothing is compiled
@@ -43,6 +47,9 @@ class Wire:
 
     def tick(self) -> None:
         self.ticks += 1
+
+    def prefer(self, peers: list[Any]) -> None:
+        pass
 
     def send(self, data: bytes, address: Any) -> None:
         self.sent.append((data, address))
@@ -224,3 +231,101 @@ def test_only_a_trusted_line_may_change_the_state(trusted: bool) -> None:
     assert service._may_change((1, "192.168.1.20", 14550)) is False
     assert service._may_change((1, "127.0.0.1", 14550)) is True
     service.close()
+
+
+# ---- signing and limits --------------------------------------------------------------------------
+
+SECRET = bytes(range(1, 33))
+FAR = (0, "10.0.0.9", 14550)
+
+
+def open_signing(tmp_path: Path) -> Signing:
+    path = tmp_path / "signing.key"
+    path.write_bytes(SECRET)
+    path.chmod(0o600)
+    return Signing(path)
+
+
+def signer(link_id: int = 7) -> Signer:
+    return Signer(Key(SECRET), link_id, Clock(lambda: time.time_ns() // 1000))
+
+
+def origin(target: int) -> bytes:
+    return frame(
+        payload(
+            fields_of("SET_GPS_GLOBAL_ORIGIN"),
+            latitude=470000000,
+            longitude=80000000,
+            target_system=target,
+        ),
+        255,
+        190,
+        0,
+    )
+
+
+def test_with_a_key_only_signed_packets_come_in_and_go_out(tmp_path: Path) -> None:
+    wire, theirs = Wire(), signer()
+    config = Config(signing=SigningSettings(unsigned="none"))
+    recording = Recording(tmp_path / "x.tlog")
+    service = Service(config, [wire], (), None, recording, None, open_signing(tmp_path))  # type: ignore[list-item]
+    session = service.session
+    session.receive(imu(4, 1_000_000), HERE, NOW_US)
+    assert not session.vehicles
+    assert not len(session.peers)
+    packet = theirs.sign(imu(4, 1_000_000))
+    session.receive(packet, HERE, NOW_US)
+    session.receive(packet, HERE, NOW_US)
+    setup = payload(fields_of("SETUP_SIGNING"), secret_key=[9] * 32)
+    session.receive(theirs.sign(frame(setup, 4, 1, 0)), HERE, NOW_US)
+    assert list(session.vehicles) == [4]
+    assert session.dropped["unsigned"] == session.dropped["timestamp seen before"] == 1
+    session.tick(NOW_US + 1)
+    assert wire.sent
+    judge = Verifier(Key(SECRET), Clock(lambda: time.time_ns() // 1000))
+    assert all(judge.check(scan(data), False).keep.all() for data, _ in wire.sent)
+    service.close()
+    # a recording holds neither signatures nor keys
+    frames = read_tlog(tmp_path / "x.tlog")
+    packets = [frames.packet(i) for i in range(len(frames))]
+    assert imu(4, 1_000_000) in packets
+    assert not any(is_signed(packet) for packet in packets)
+    assert 256 not in frames.msgid
+
+
+def test_a_signature_allows_changes_from_elsewhere(tmp_path: Path) -> None:
+    config = Config(signing=SigningSettings(unsigned="all"))
+    service = Service(config, [Wire()], (), None, None, None, open_signing(tmp_path))  # type: ignore[list-item]
+    session = service.session
+    session.receive(origin(0), FAR, NOW_US)
+    session.receive(signer(1).sign(origin(0)) + origin(0), FAR, NOW_US)
+    assert not session._wanted_origins
+    session.receive(signer(2).sign(origin(0)), FAR, NOW_US)
+    assert len(session._wanted_origins) == 1
+    service.close()
+
+
+def test_the_gate_before_the_session() -> None:
+    link = Queue([(b"noise" + imu(4, 1_000_000), FAR[1:]), (imu(4, 1_000_000), FAR[1:])])
+    service = Service(Config(), [link])  # type: ignore[list-item]
+    service._drain(0)
+    assert list(service.session.vehicles) == [4]
+    assert service._dropped() == {"no packet from an unknown address": 1}
+    service._tick()
+    assert link.preferred == [FAR[1:]]
+    link.waiting = [(b"noise" + imu(4, 1_004_000), FAR[1:])]
+    service._drain(0)
+    assert service._dropped()["skipped bytes"] == 5
+    service.close()
+
+
+class Queue(Wire):
+    """A link at which these datagrams wait."""
+
+    def __init__(self, waiting: list[tuple[bytes, Any]]) -> None:
+        super().__init__()
+        self.waiting = waiting
+        self.preferred: list[Any] = []
+
+    def prefer(self, peers: list[Any]) -> None:
+        self.preferred = list(peers)
