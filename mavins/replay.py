@@ -124,7 +124,7 @@ def write_smoothed(
     """Smooth a finished run and write what lies within the bounds; returns stamps (N,) and rows (N, 31)."""
     file = EstimatesFile(path, estimator.filter.layout)
     parts: list[tuple[IntArray, FloatArray]] = []
-    for block, frame in smooth(estimator.filter, history, estimator.settings.gnss.reset_after):
+    for block, frame in smooth(history):
         inside = (block.t_us >= bounds_us[0]) & (block.t_us <= bounds_us[1])
         if inside.any():
             parts.append((block.t_us[inside], file.table(block, frame)[inside]))
