@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -13,7 +15,7 @@ import numpy as np
 
 from mavins import __version__
 from mavins.config import Config, to_yaml
-from mavins.errors import LogFormatError
+from mavins.errors import LogFormatError, ParameterError
 from mavins.estimator.estimator import Estimator, Outputs
 from mavins.estimator.feed import Feed
 from mavins.estimator.history import History
@@ -28,12 +30,17 @@ from mavins.logs.tlog import read_tlog
 from mavins.logs.truth import TruthTable, truth_of
 from mavins.mavlink.codec import IMU_KINDS, Frames, OriginRequest, decode, fields_of
 from mavins.mavlink.intake import RELEVANT, Intake
-from mavins.mavlink.session import sysid_for
+from mavins.mavlink.parameters import PARAM_SET, carry_out
+from mavins.mavlink.requests import decode_packet
+from mavins.mavlink.session import COMPID, sysid_for
 from mavins.mavlink.settings import SessionSettings
+from mavins.parameters import ConfigStore
 from mavins.results import EstimatesFile, ResultWriter, write_json, write_text
 from mavins.types import FloatArray, IntArray, Origin
 
 SET_GPS_GLOBAL_ORIGIN = fields_of("SET_GPS_GLOBAL_ORIGIN").msgid
+CHANGES = np.array([SET_GPS_GLOBAL_ORIGIN, PARAM_SET])
+"""What others may have asked of us, which a recording holds only where it was carried out."""
 CHUNK = 20_000
 """Packets between two reports of progress."""
 
@@ -181,7 +188,8 @@ class TlogSource:
         sysid = self._sysid
         self._intake = Intake(estimator, self.config.sources)
         our = our_sysid(self._frames, sysid, self.config.mavlink)
-        _feed(self._intake, self._frames, sysid, our, progress)
+        store = ConfigStore(self.config, partial(tune, self._intake), keep=lambda config: "")
+        _feed(self._intake, store, self._frames, sysid, our, progress)
         if self._intake.imu.chosen is None:
             raise LogFormatError(f"the log has no usable IMU messages of vehicle {sysid}")
 
@@ -253,14 +261,24 @@ def our_sysid(frames: Frames, sysid: int, settings: SessionSettings) -> int:
     return ours.get(sysid, 0)
 
 
+def tune(intake: Intake, config: Config) -> None:
+    """Put a changed configuration into force, live and again in a replay."""
+    intake.reconfigure(config, config.filter, config.sources)
+
+
 def _feed(
-    intake: Intake, frames: Frames, sysid: int, our: int, progress: Callable[[float], None]
+    intake: Intake,
+    store: ConfigStore,
+    frames: Frames,
+    sysid: int,
+    our: int,
+    progress: Callable[[float], None],
 ) -> None:
-    """All of a vehicle's packets, and between them the origins that others asked of us, who speak as `our`."""
+    """All of a vehicle's packets, and between them what others asked of us, who speak as `our`."""
     relevant = (frames.sysid == sysid) & np.isin(frames.msgid, RELEVANT)
-    chosen = frames.select(relevant | (frames.msgid == SET_GPS_GLOBAL_ORIGIN))
-    at_origin = np.flatnonzero(chosen.msgid == SET_GPS_GLOBAL_ORIGIN)
-    edges = np.unique(np.concatenate([np.arange(0, len(chosen), CHUNK), at_origin, at_origin + 1]))
+    chosen = frames.select(relevant | np.isin(frames.msgid, CHANGES))
+    at = np.flatnonzero(np.isin(chosen.msgid, CHANGES))
+    edges = np.unique(np.concatenate([np.arange(0, len(chosen), CHUNK), at, at + 1]))
     for start, end in itertools.pairwise([*edges.tolist(), len(chosen)]):
         if start == end:
             continue
@@ -269,9 +287,22 @@ def _feed(
             request = decode(part, 0)
             if isinstance(request, OriginRequest) and request.target_system in (0, our):
                 intake.estimator.set_origin(Origin(request.lat, request.lon, request.alt))
+        elif part.msgid[0] == PARAM_SET:
+            _set_parameter(store, part, our)
         else:
             intake.take(part)
         progress(end / len(chosen))
+
+
+def _set_parameter(store: ConfigStore, frames: Frames, our: int) -> None:
+    """Change a parameter again as it was changed live."""
+    message = decode_packet(frames, 0)
+    if message is None or message.target_system not in (0, our):
+        return
+    if message.target_component in (0, COMPID):
+        # what was refused live is refused here
+        with contextlib.suppress(ParameterError):
+            carry_out(message, store)
 
 
 def summarize(estimator: Estimator, intake: Intake) -> dict[str, Any]:

@@ -29,8 +29,9 @@ class Snapshot(NamedTuple):
 class Stretch:
     """A run of a filter in one frame, from a start to where it was lost, re-framed, replaced or ended.
 
-    `fusion` is what put measurements to the filter. `t_us`, `imu` and `written` are pieces: stamps and readings of the IMU rows after the start, in the order in which
-    they came, and the stamps of the output rows. `events` are those that were put to the filter.
+    `fusion` is what put measurements to the filter. `t_us`, `imu` and `written` are pieces: stamps and readings of the
+    IMU rows after the start, in the order in which they came, and the stamps of the output rows. `events` are those
+    that were put to the filter.
     """
 
     frame: TangentFrame
