@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from mavins.config import Config, to_yaml
+from mavins.errors import ParameterError
 from mavins.parameters.table import TABLE, get, put
 
 Keeper = Callable[[Config], str]
@@ -55,7 +56,8 @@ def _replace(path: Path, text: str) -> None:
 class ConfigStore:
     """What mavlink/parameters.py asks of a store, over a `Config`.
 
-    `config` is what was asked for, also where it waits for a restart; `apply` puts into force what can be.
+    `config` is what was asked for, also where it waits for a restart; `apply` puts into force what can be;
+    `objection` says why a configuration cannot be put into force in time, as where a filter is not compiled yet.
     `load` and `reset` go back to what this store remembers, not to the file, so that a replay of the same requests
     does the same.
     """
@@ -67,10 +69,12 @@ class ConfigStore:
         config: Config,
         apply: Callable[[Config], None],
         keep: Keeper,
+        objection: Callable[[Config], str] = lambda config: "",
     ) -> None:
         self.config = config
         self._apply = apply
         self._keep = keep
+        self._objection = objection
         self._started = self._saved = config
 
     def value(self, name: str) -> float:
@@ -82,6 +86,8 @@ class ConfigStore:
         wanted = put(self.config, name, value)
         if wanted is self.config:
             return ""
+        if reason := self._objection(wanted):
+            raise ParameterError(f"{name}: {reason}")
         self.config = wanted
         if not TABLE[name].live:
             return f"{name} is in force after a restart, once it is saved"
