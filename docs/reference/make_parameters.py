@@ -28,8 +28,8 @@ speaks for: a ground station lists, reads and sets them.
 - **Setting.** What is out of range, not whole where it must be, or not finite is refused with a PARAM_ERROR, and a
   text says what is allowed. The value that holds is told to everybody, whatever has become of the request. Requests
   that change something are taken from this host only, unless the service is told otherwise.
-- **Live.** A change is in force at once, at its place among the packets: `mavins replay` of a recording repeats it at the
-  same place. Another filter takes state and covariance over; a change of a noise, of a filter's own settings or of
+- **Live.** A change is in force at once, at its place among the packets: `mavins replay` of a recording repeats it
+  there. Another filter takes state and covariance over; a change of a noise, of a filter's own settings or of
   `GNSS_RESET_AFTER` does so as well, and measurements that belong before the change are not fused any more. While the
   delay of GNSS is estimated, a change of `GNSS_DELAY` begins the estimate anew from there. A filter that was never
   compiled on this machine is refused: compiling would stop the service (`mavins warmup --filter all`).
