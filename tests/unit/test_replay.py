@@ -32,7 +32,7 @@ from mavins.mavlink.parameters import carry_out
 from mavins.mavlink.requests import decode_packet
 from mavins.mavlink.settings import SessionSettings
 from mavins.parameters import ConfigStore, file_keeper
-from mavins.replay import ReplayOptions, grid_us, our_sysid, replay, tune, vehicle_of
+from mavins.replay import ReplayOptions, grid_us, our_sysid, replay, tape_of, tune, vehicle_of
 from mavins.results import ResultWriter
 from mavins.types import GnssFix, ImuSample, TruthSample
 
@@ -253,6 +253,17 @@ def test_parameters_are_set_again_where_they_were_set(tmp_path: Path) -> None:
     )
     fused = [s["aiding"]["heading"]["accepted"] for s in (summary, plain)]
     assert fused[0] < fused[1]
+
+
+def test_a_comparison_changes_settings_but_not_the_filter(tmp_path: Path) -> None:
+    tape, _ = tape_of(log_of(tmp_path / "a.tlog", with_sets(100)), Config())
+    assert tape.settings == Config()
+    told = [what for name, what in tape.feeds if name == "reconfigure"]
+    assert [s.imu.gyro_noise for s in told] == [0.05] * 4
+    estimator = Estimator(tape.settings, "srcdkf")
+    tape.play(estimator)
+    assert type(estimator.filter).__name__ == "Srcdkf"
+    assert estimator.settings.imu.gyro_noise == 0.05
 
 
 @pytest.mark.parametrize(("target", "component"), [(1, 1), (100, 20)])
