@@ -5,7 +5,7 @@ Source: the MAVLink developer guide, parameter protocol.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Protocol
 
@@ -46,6 +46,9 @@ class ParameterStore(Protocol):
     def set(self, name: str, value: float) -> str:
         """Change a value; returns what there is to say about it, or nothing. ParameterError if it is refused."""
 
+    def refuses(self, name: str, value: float) -> bool:
+        """True where `set` would raise; nothing is changed."""
+
     def save(self) -> str:
         """Keep all values for the next start; returns why that failed, or nothing."""
 
@@ -56,8 +59,12 @@ class ParameterStore(Protocol):
         """Back to what this run has begun with."""
 
 
-class Speaker(Protocol):
-    """Who makes a STATUSTEXT: a vehicle, which numbers them."""
+class Owner(Protocol):
+    """Whose parameters they are: a vehicle, which also numbers its texts."""
+
+    @property
+    def parameters(self) -> VehicleParameters:
+        """The vehicle's parameters."""
 
     def text(self, text: str, severity: int) -> list[Payload]:
         """STATUSTEXT in chunks."""
@@ -69,6 +76,11 @@ def carry_out(message: Any, store: ParameterStore) -> str:
     Its param_type is not looked at: clients differ in what they say of a type that is not theirs.
     """
     return store.set(message.param_id, float(message.param_value))
+
+
+def is_refused(message: Any, store: ParameterStore) -> bool:
+    """True for a PARAM_SET that `carry_out` would refuse, as a replay might not: a recording leaves it out."""
+    return store.refuses(message.param_id, float(message.param_value))
 
 
 def values_of(store: ParameterStore) -> dict[str, float]:
@@ -94,25 +106,19 @@ class _Listing:
     sent: int = 0
 
 
-class ParameterService:
-    """The microservice of one vehicle's parameters."""
-
-    msgids = frozenset((PARAM_REQUEST_READ, PARAM_REQUEST_LIST, PARAM_SET))
+class VehicleParameters:
+    """One vehicle's parameters, and the lists of them that are on their way."""
 
     def __init__(self, store: ParameterStore) -> None:
         self.store = store
         self._listings: dict[Hashable, _Listing] = {}
-        self._handlers: dict[int, Callable[[Request, Speaker], Iterable[Reply]]] = {
-            PARAM_REQUEST_READ: self._read,
-            PARAM_REQUEST_LIST: self._list,
-            PARAM_SET: self._set,
-        }
 
-    def answer(self, request: Request, vehicle: Speaker) -> Iterable[Reply]:
-        """What is sent at once because of a request; a list goes out with the ticks that follow."""
-        return self._handlers[request.message.get_msgId()](request, vehicle)
+    def begin_list(self, address: Hashable, now_us: int) -> None:
+        """Begin a list to a peer, or begin it anew."""
+        if address in self._listings or len(self._listings) < MAX_LISTINGS:
+            self._listings[address] = _Listing(now_us)
 
-    def tick(self, now_us: int, vehicle: Speaker) -> Iterator[tuple[Hashable, Payload]]:
+    def listed(self, now_us: int) -> Iterator[tuple[Hashable, Payload]]:
         """The values that are due to each peer that lists them."""
         names = self.store.names
         for address, listing in list(self._listings.items()):
@@ -124,39 +130,55 @@ class ParameterService:
             if listing.sent == len(names):
                 del self._listings[address]
 
-    def _list(self, request: Request, vehicle: Speaker) -> Iterable[Reply]:
-        """Begin a list, or begin it anew."""
-        if request.address in self._listings or len(self._listings) < MAX_LISTINGS:
-            self._listings[request.address] = _Listing(request.now_us)
+
+class Parameters:
+    """The microservice of parameters."""
+
+    msgids = frozenset((PARAM_REQUEST_READ, PARAM_REQUEST_LIST, PARAM_SET))
+
+    def answer(self, request: Request, vehicle: Owner) -> Iterable[Reply]:
+        """What is sent at once because of a request; a list goes out with the ticks that follow."""
+        msgid = request.message.get_msgId()
+        if msgid == PARAM_SET:
+            return _set(request, vehicle)
+        if msgid == PARAM_REQUEST_READ:
+            return _read(request, vehicle.parameters.store)
+        vehicle.parameters.begin_list(request.address, request.now_us)
         return ()
 
-    def _read(self, request: Request, vehicle: Speaker) -> Iterator[Reply]:
-        """One value, by its index if one is given, or by its name."""
-        names, message = self.store.names, request.message
-        index, name = int(message.param_index), str(message.param_id)
-        if 0 <= index < len(names):
-            yield Reply(_value(self.store, names[index]))
-        elif index == -1 and name in names:
-            yield Reply(_value(self.store, name))
-        else:
-            yield Reply(param_error(name, index, DOES_NOT_EXIST, *request.sender))
+    def tick(self, now_us: int, vehicle: Owner) -> Iterable[tuple[Hashable, Payload]]:
+        """The values that are due to each peer that lists them."""
+        return vehicle.parameters.listed(now_us)
 
-    def _set(self, request: Request, vehicle: Speaker) -> Iterator[Reply]:
-        """Change a value; whatever becomes of it, the value that holds now is told."""
-        name = str(request.message.param_id)
-        if name not in self.store.names:
-            yield Reply(param_error(name, -1, DOES_NOT_EXIST, *request.sender))
-            return
-        if not request.trusted:
-            yield Reply(param_error(name, -1, PERMISSION_DENIED, *request.sender))
-            yield Reply(_value(self.store, name))
-            return
-        try:
-            remark, severity = carry_out(request.message, self.store), _INFO
-        except ParameterError as error:
-            yield Reply(param_error(name, -1, VALUE_OUT_OF_RANGE, *request.sender))
-            remark, severity = str(error), _WARNING
-        yield Reply(_value(self.store, name), to_all=True)
-        if remark:
-            for text in vehicle.text(remark, severity):
-                yield Reply(text)
+
+def _read(request: Request, store: ParameterStore) -> Iterator[Reply]:
+    """One value, by its index if one is given, or by its name."""
+    names, message = store.names, request.message
+    index, name = int(message.param_index), str(message.param_id)
+    if 0 <= index < len(names):
+        yield Reply(_value(store, names[index]))
+    elif index == -1 and name in names:
+        yield Reply(_value(store, name))
+    else:
+        yield Reply(param_error(name, index, DOES_NOT_EXIST, *request.sender))
+
+
+def _set(request: Request, vehicle: Owner) -> Iterator[Reply]:
+    """Change a value; whatever becomes of it, the value that holds now is told."""
+    store, name = vehicle.parameters.store, str(request.message.param_id)
+    if name not in store.names:
+        yield Reply(param_error(name, -1, DOES_NOT_EXIST, *request.sender))
+        return
+    if not request.trusted:
+        yield Reply(param_error(name, -1, PERMISSION_DENIED, *request.sender))
+        yield Reply(_value(store, name))
+        return
+    try:
+        remark, severity = carry_out(request.message, store), _INFO
+    except ParameterError as error:
+        yield Reply(param_error(name, -1, VALUE_OUT_OF_RANGE, *request.sender))
+        remark, severity = str(error), _WARNING
+    yield Reply(_value(store, name), to_all=True)
+    if remark:
+        for text in vehicle.text(remark, severity):
+            yield Reply(text)

@@ -83,16 +83,28 @@ class ConfigStore:
 
     def set(self, name: str, value: float) -> str:
         """Change a parameter; returns what there is to say about it, or nothing. ParameterError if it is refused."""
-        wanted = put(self.config, name, value)
+        wanted = self._wanted(name, value)
         if wanted is self.config:
             return ""
-        if reason := self._objection(wanted):
-            raise ParameterError(f"{name}: {reason}")
         self.config = wanted
         if not TABLE[name].live:
             return f"{name} is in force after a restart, once it is saved"
         self._apply(wanted)
         return ""
+
+    def refuses(self, name: str, value: float) -> bool:
+        """True where `set` would raise; nothing is changed."""
+        try:
+            self._wanted(name, value)
+        except ParameterError:
+            return True
+        return False
+
+    def _wanted(self, name: str, value: float) -> Config:
+        wanted = put(self.config, name, value)
+        if wanted is not self.config and (reason := self._objection(wanted)):
+            raise ParameterError(f"{name}: {reason}")
+        return wanted
 
     def save(self) -> str:
         """Keep the configuration for the next start; returns why that failed, or nothing."""

@@ -18,9 +18,11 @@ from mavins.mavlink.microservice import Reply, Request
 from mavins.mavlink.parameters import (
     LIST_BURST,
     MAX_LISTINGS,
-    ParameterService,
+    Parameters,
+    VehicleParameters,
     carry_out,
     changes_since,
+    is_refused,
     values_of,
 )
 from mavins.parameters import TABLE, ConfigStore
@@ -54,7 +56,8 @@ class Bench:
 
     def __post_init__(self) -> None:
         self.store = ConfigStore(Config(), self.applied.append, lambda config: "")
-        self.service = ParameterService(self.store)
+        self.parameters = VehicleParameters(self.store)
+        self.service = Parameters()
 
     def text(self, text: str, severity: int) -> list[Payload]:
         return statustext(text, severity, 1)
@@ -271,6 +274,14 @@ def test_any_bytes_of_a_set_are_answered(
 def test_any_bytes_of_a_read_are_answered(name: bytes, index: int) -> None:
     message = dialect.MAVLink_param_request_read_message(100, 1, name, index)
     assert len(Bench().ask(message)) == 1
+
+
+@pytest.mark.parametrize(("value", "refused"), [(4.0, False), (-4.0, True), (math.nan, True)])
+def test_it_is_known_beforehand_what_will_be_refused(value: float, refused: bool) -> None:
+    b = Bench()
+    message = sent(dialect.MAVLink_param_set_message(100, 1, b"GNSS_GATE", value, 9))
+    assert is_refused(message, b.store) is refused
+    assert b.store.config == Config()
 
 
 def test_a_replay_sets_what_was_set() -> None:

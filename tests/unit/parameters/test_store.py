@@ -50,6 +50,8 @@ def test_what_is_refused_changes_nothing() -> None:
 
 def test_an_objection_is_a_refusal() -> None:
     store = ConfigStore(Config(), lambda c: None, file_keeper(None), lambda c: f"no {c.filter}")
+    assert store.refuses("FILTER", 2.0)
+    assert not store.refuses("FILTER", 0.0)
     with pytest.raises(ParameterError, match="FILTER: no iekf"):
         store.set("FILTER", 2.0)
     assert store.config == Config()
