@@ -109,10 +109,20 @@ NAMES: Final[dict[str, str | tuple[str, ...]]] = {
     "streams.global_position_int": "SR_GLOBAL_POS",
     "streams.highres_imu": "SR_HIGHRES_IMU",
     "streams.estimator_status": "SR_EST_STATUS",
-    "streams.sys_status": "SR_SYS_STATUS",
+    "streams.local_position_ned_cov": "SR_LOCAL_COV",
+    "streams.attitude_quaternion_cov": "SR_ATT_COV",
+    "streams.global_position_int_cov": "SR_GLOBAL_COV",
+    "streams.ekf_status_report": "SR_EKF_STATUS",
+    "streams.vibration": "SR_VIBRATION",
     "streams.gps_global_origin": "SR_ORIGIN",
     "streams.home_position": "SR_HOME",
+    "streams.sys_status": "SR_SYS_STATUS",
+    "streams.extended_sys_state": "SR_EXT_STATE",
+    "streams.system_time": "SR_SYSTEM_TIME",
+    "mavlink.persona": "MAV_PERSONA",
     "mavlink.sysid": "MAV_SYSID",
+    "mavlink.compid": "MAV_COMPID",
+    "mavlink.route": "MAV_ROUTE",
     "mavlink.peer_timeout": "MAV_PEER_TIMEOUT",
     "mavlink.vehicle_timeout": "MAV_VEH_TIMEOUT",
     "mavlink.max_peers": "MAV_PEERS_MAX",
@@ -120,7 +130,9 @@ NAMES: Final[dict[str, str | tuple[str, ...]]] = {
 }
 """Dotted path -> the parameter's name, or one for each component of a vector."""
 
-EXCLUDED: Final[dict[str, str]] = {}
+EXCLUDED: Final = {
+    "mavlink.allow_remote_config": "who may change parameters is not for those who may to decide"
+}
 """Dotted paths, or sections, that are no parameters, and why."""
 
 NEEDS_RESTART: Final = {**FIXED, "mavlink": "the session is shared by all vehicles"}

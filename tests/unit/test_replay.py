@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import math
 from functools import partial
@@ -14,7 +13,7 @@ import pytest
 from pymavlink.dialects.v20 import all as dialect
 
 from mavins.config import Config, load
-from mavins.errors import LogFormatError, ParameterError
+from mavins.errors import LogFormatError
 from mavins.estimator.estimator import Estimator, Outputs
 from mavins.logs.tlog import TlogWriter, read_tlog
 from mavins.mavlink.codec import (
@@ -28,11 +27,11 @@ from mavins.mavlink.codec import (
     hil_state_quaternion,
 )
 from mavins.mavlink.intake import RELEVANT, Intake
-from mavins.mavlink.parameters import carry_out
+from mavins.mavlink.parameters import set_again
 from mavins.mavlink.requests import decode_packet
 from mavins.mavlink.settings import SessionSettings
 from mavins.parameters import ConfigStore, file_keeper
-from mavins.replay import ReplayOptions, grid_us, our_sysid, replay, tape_of, tune, vehicle_of
+from mavins.replay import ReplayOptions, grid_us, our_identity, replay, tape_of, tune, vehicle_of
 from mavins.results import ResultWriter
 from mavins.types import GnssFix, ImuSample, TruthSample
 
@@ -113,10 +112,10 @@ def test_our_sysid_is_found_again(tmp_path: Path) -> None:
         (3, frame(imu(3), 2, 1, 0)),
     ]
     frames = read_tlog(log_of(tmp_path / "a.tlog", packets))
-    assert our_sysid(frames, 1, SessionSettings()) == 101
-    assert our_sysid(frames, 2, SessionSettings()) == 102
-    assert our_sysid(frames, 1, SessionSettings(sysid=50)) == 50
-    assert our_sysid(frames, 77, SessionSettings()) == 0
+    assert our_identity(frames, 1, SessionSettings()) == (101, 1)
+    assert our_identity(frames, 2, SessionSettings()) == (102, 1)
+    assert our_identity(frames, 1, SessionSettings(sysid=50)) == (50, 1)
+    assert our_identity(frames, 77, SessionSettings()) is None
 
 
 @pytest.mark.jit
@@ -230,8 +229,7 @@ def fed_one_by_one(log: Path, out: Path) -> Estimator:
                 continue
             message = decode_packet(frames, i)
             if message is not None and message.get_type() == "PARAM_SET":
-                with contextlib.suppress(ParameterError):
-                    carry_out(message, store)
+                set_again(message, store)
         estimator.finish()
     return estimator
 

@@ -15,14 +15,14 @@ from pymavlink.dialects.v20 import all as dialect
 from mavins.config import Config
 from mavins.mavlink.codec import Payload, frame, statustext
 from mavins.mavlink.microservice import Reply, Request
+from mavins.mavlink.parameter_service import Parameters
 from mavins.mavlink.parameters import (
     LIST_BURST,
     MAX_LISTINGS,
-    Parameters,
     VehicleParameters,
-    carry_out,
     changes_since,
     is_refused,
+    set_again,
     values_of,
 )
 from mavins.parameters import TABLE, ConfigStore
@@ -287,5 +287,5 @@ def test_it_is_known_beforehand_what_will_be_refused(value: float, refused: bool
 def test_a_replay_sets_what_was_set() -> None:
     b = Bench()
     message = dialect.MAVLink_param_set_message(100, 1, b"GNSS_DELAY", 0.18, 9)
-    assert carry_out(sent(message), b.store) == ""
+    set_again(sent(message), b.store)
     assert b.store.config.gnss.delay == 0.18
