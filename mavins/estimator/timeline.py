@@ -10,12 +10,15 @@ from __future__ import annotations
 from bisect import bisect_right, insort
 from collections.abc import Callable
 
+import numpy as np
+
 from mavins.aiding import Measurement
 from mavins.estimator.buffer import ImuBuffer
 from mavins.estimator.fusion import Event, Fusion, Track
 from mavins.estimator.history import History, Snapshot
 from mavins.filters import Filter, FilterState, RowBlock
 from mavins.nav.earth import TangentFrame
+from mavins.nav.so3 import dcm_to_quat, quat_to_dcm
 from mavins.types import FloatArray, IntArray
 
 SNAPSHOT_US = 40_000
@@ -65,8 +68,10 @@ class Timeline:
         self._sequence = 0
 
     def begin(self, state: FilterState, frame: TangentFrame, track: Track) -> None:
-        """Start from a state between the buffered IMU rows and walk to the newest; no row of this is written."""
-        self._filter.adopt(state)
+        """Start from a state between the buffered IMU rows, adopted by the filter, and walk to the newest.
+
+        No row of this is written.
+        """
         self.state, self.frame = state, frame
         self.fusion.track = track
         self._snapshots = [Snapshot(state.t_us, state.copy(), track)]
@@ -74,12 +79,13 @@ class Timeline:
         self._run(self.buffer.row_after(state.t_us), -1)
 
     def change_frame(self, frame: TangentFrame) -> list[Event]:
-        """Go on in another frame with the state, which the caller has carried over; ends all decisions."""
+        """Go on in another frame; ends all decisions."""
         # what was estimated so far is written in the frame it was estimated in
         self.flush()
         decided = self.end()
-        self.frame = frame
-        if self.state is not None:
+        old, self.frame = self.frame, frame
+        if self.state is not None and old is not None:
+            _carry_over(self.state, old, frame)
             self._filter.adopt(self.state)
             self._snapshots = [Snapshot(self.state.t_us, self.state.copy(), self.fusion.track)]
             self._tell_start(frame)
@@ -252,3 +258,16 @@ class Timeline:
     def _snapshot(self, state: FilterState) -> None:
         if not self._snapshots or state.t_us - self._snapshots[-1].t_us >= SNAPSHOT_US:
             self._snapshots.append(Snapshot(state.t_us, state.copy(), self.fusion.track))
+
+
+def _carry_over(state: FilterState, old: TangentFrame, new: TangentFrame) -> None:
+    """Express a state of one tangent frame in another."""
+    C = new.C_ne @ old.C_ne.T
+    lla = old.to_lla(state.x[:3])
+    state.x[:3] = new.from_lla(*lla)
+    state.x[3:6] = C @ state.x[3:6]
+    state.x[6:10] = dcm_to_quat(C @ quat_to_dcm(state.x[6:10]))
+    T = np.eye(state.P.shape[0])
+    T[0:3, 0:3] = C
+    T[3:6, 3:6] = C
+    state.P[:, :] = T @ state.P @ T.T
