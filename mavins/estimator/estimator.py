@@ -168,8 +168,7 @@ class Estimator:
             measuring.barometer.see_fix(t_us, fix.alt, noise.v)
         self._aligner.see_fix(fix, t_us)
         if state is not None and frame is not None:
-            for measurement in measuring.of_fix(fix, t_us, frame, noise, quality, delay):
-                self._take(measurement)
+            self._take(*measuring.of_fix(fix, t_us, frame, noise, quality, delay))
 
     def feed_heading(self, fix: HeadingFix) -> None:
         """Take a heading."""
@@ -238,18 +237,19 @@ class Estimator:
             self.imu_rows += 1
             self._check_sanity()
 
-    def _take(self, measurement: Measurement) -> None:
-        """Fuse a measurement where it belongs."""
-        refused = self._line.take(measurement)
-        if refused is not None:
-            self._decide([refused])
+    def _take(self, *measurements: Measurement) -> None:
+        """Fuse measurements where they belong."""
+        refused = self._line.take(measurements)
+        if refused:
+            self._decide(refused)
         self._check_sanity()
 
     # ---- decisions and health ----------------------------------------------------------------------------------
 
     def _tick(self, now_us: int) -> None:
         """What is looked at a few times a second."""
-        self._aligner.tick(self._line.buffer, now_us)
+        asked = not self.running or self._yaw_watch.doubts
+        self._aligner.tick(self._line.buffer, now_us, asked)
         if not self.running:
             self._try_to_align(now_us)
         else:
@@ -265,9 +265,9 @@ class Estimator:
             return
         # valid a window ago: the samples since then have confirmed that nothing moved
         t_us, gate = now_us - HALF_WINDOW_US, settings.gate
-        self._take(zero_velocity.measure(now_us, t_us, settings.sigma, gate))
         self._take(
-            zero_rate.measure(now_us, t_us, standing.gyro_b, self.frame, settings.rate_sigma, gate)
+            zero_velocity.measure(now_us, t_us, settings.sigma, gate),
+            zero_rate.measure(now_us, t_us, standing.gyro_b, self.frame, settings.rate_sigma, gate),
         )
 
     def _habits(self, now_us: int) -> None:

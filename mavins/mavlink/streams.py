@@ -117,6 +117,7 @@ class Streams:
             if rate > 0.0 and name != "sys_status"
         }
         self._before_us: int | None = None
+        self._next_us = 0
 
     def due(self, estimator: Estimator, home: Home | None) -> Iterator[Payload]:
         """The payloads that fall due at the estimator's newest instant; none before it runs."""
@@ -126,11 +127,14 @@ class Streams:
         before, self._before_us = self._before_us, t_us
         # the first instant, and the first after a reboot, sends everything
         restarted = before is None or t_us < before
+        if t_us < self._next_us and not restarted:
+            return
         names = [
             name
             for name, period in self._period_us.items()
             if restarted or t_us // period > (before or 0) // period
         ]
+        self._next_us = min(((t_us // p + 1) * p for p in self._period_us.values()), default=t_us)
         if not names:
             return
         solution = estimator.solution()
