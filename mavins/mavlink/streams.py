@@ -146,17 +146,20 @@ class Streams:
                 yield payload
 
 
+_SIMPLE: Final[dict[str, Callable[[NavSolution], Payload]]] = {
+    "local_position_ned": local_position_ned,
+    "attitude": attitude_from,
+    "attitude_quaternion": attitude_quaternion,
+    "highres_imu": highres_imu_from,
+}
+"""What is made of the solution alone."""
+
+
 def _make(
     name: str, estimator: Estimator, solution: NavSolution, home: Home | None
 ) -> Payload | None:
-    simple: dict[str, Callable[[NavSolution], Payload]] = {
-        "local_position_ned": local_position_ned,
-        "attitude": attitude_from,
-        "attitude_quaternion": attitude_quaternion,
-        "highres_imu": highres_imu_from,
-    }
-    if name in simple:
-        return simple[name](solution)
+    if name in _SIMPLE:
+        return _SIMPLE[name](solution)
     if name == "odometry":
         return odometry(solution, ESTIMATOR_TYPE_GPS_INS, quality_of(solution))
     if name == "estimator_status":

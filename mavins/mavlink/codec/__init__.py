@@ -63,10 +63,9 @@ from mavins.mavlink.codec.outputs import (
     local_position_ned,
     odometry,
     param_value,
-    pose_covariance,
+    pose_and_twist,
     statustext,
     sys_status,
-    twist_covariance,
 )
 from mavins.mavlink.codec.tables import decode_fields, decode_imu, payload_rows
 
@@ -123,11 +122,10 @@ __all__ = [
     "param_value",
     "payload",
     "payload_rows",
-    "pose_covariance",
+    "pose_and_twist",
     "scan",
     "scan_tlog",
     "statustext",
     "sys_status",
     "system_time",
-    "twist_covariance",
 ]
