@@ -135,9 +135,12 @@ class ResultWriter:
         return np.concatenate(times), np.concatenate(rows)
 
     def _write_lines(self) -> None:
-        with _or_say_so(self._innovations):
-            self._innovations.write("".join(self._lines).replace("nan", ""))
+        if not self._lines:
+            return
+        lines = "".join(self._lines).replace("nan", "")
         self._lines.clear()
+        with _or_say_so(self._innovations):
+            self._innovations.write(lines)
 
     def flush(self) -> None:
         """Hand what is buffered to the operating system."""

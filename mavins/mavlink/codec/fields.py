@@ -81,15 +81,13 @@ class Fields:
         """
         if not values.keys() <= self.known:
             return None
-        parts = []
-        for name, count in zip(self.names, self.counts, strict=True):
+        parts: list[Any] = []
+        for name in self.names:
             value = values.get(name, 0)
-            if not count:
-                parts.append(value)
-            elif value:
-                parts.extend(value)
+            if type(value) is list:
+                parts += value
             else:
-                parts.extend((0,) * count)
+                parts.append(value)
         try:
             # of finite numbers the sum is finite, or so large that clamping must see to it
             return self.unpacker.pack(*parts) if math.isfinite(sum(parts)) else None
