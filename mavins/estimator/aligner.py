@@ -82,13 +82,13 @@ class Aligner:
         """The direction (3,) of the magnetic field in b with its valid time."""
         self._field = (t_us, direction_b)
 
-    def tick(self, buffer: ImuBuffer, now_us: int) -> None:
-        """Look at the IMU rows up to `now_us`, the newest stamp."""
+    def tick(self, buffer: ImuBuffer, now_us: int, asked: bool = True) -> None:
+        """Look at the IMU rows up to `now_us`, the newest stamp; `asked` where what motion shows is wanted now."""
         if not self.standing.moved:
             self.standing.tick(buffer, now_us)
         if self.standing.standing:
             self.motion.rest(self.standing.gyro_b)
-        self.motion.step(buffer, now_us)
+        self.motion.step(buffer, now_us, asked)
 
     def from_motion(self, buffer: ImuBuffer, now_us: int, buffer_us: int) -> Candidate | None:
         """A start from the attitude that motion shows; None where it is not to be trusted."""

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
 from mavins.nav.earth import TangentFrame
 from mavins.nav.layout import Layout
 from mavins.types import FloatArray, IntArray
+
+_NOTHING: Final = np.empty((0, 0))
 
 
 @dataclass(slots=True)
@@ -25,11 +27,12 @@ class FilterState:
     P: FloatArray
     u: FloatArray
     t_us: int
-    own: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
+    own: FloatArray = field(default_factory=lambda: _NOTHING)
 
     def copy(self) -> FilterState:
         """A copy that shares nothing with this one."""
-        return FilterState(self.x.copy(), self.P.copy(), self.u.copy(), self.t_us, self.own.copy())
+        own = self.own.copy() if self.own.size else self.own
+        return FilterState(self.x.copy(), self.P.copy(), self.u.copy(), self.t_us, own)
 
 
 @dataclass(slots=True)
