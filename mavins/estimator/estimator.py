@@ -43,7 +43,7 @@ from mavins.estimator.timeline import Timeline
 from mavins.estimator.yaw_watch import YawWatch
 from mavins.filters import Filter, FilterState, ImuNoise, RowBlock, make
 from mavins.nav.earth import TangentFrame
-from mavins.nav.layout import X_TAU
+from mavins.nav.layout import X_G, X_TAU, Layout
 from mavins.nav.linalg import is_sane
 from mavins.nav.so3 import dcm_to_quat, quat_to_dcm
 from mavins.types import (
@@ -94,6 +94,7 @@ class Estimator:
             settings.imu.accel_noise,
             settings.imu.gyro_bias_walk,
             settings.imu.accel_bias_walk,
+            settings.states.walks(),
         )
         self.filter: Filter = make(
             filter_name, self._noise, settings.states.layout(), settings.filters
@@ -113,7 +114,8 @@ class Estimator:
         self._resets_before = 0
         self._first_delay = 0.0
         self._compass = Compass(settings.magnetometer)
-        self._barometer = Barometer(settings.baro)
+        blocks = self.filter.layout.blocks
+        self._barometer = Barometer(settings.baro, "b_baro" in blocks)
         self._aligner = Aligner(settings, self._compass)
         self._yaw_watch = YawWatch()
         self._line = self._new_line()
@@ -155,7 +157,7 @@ class Estimator:
         old, new = self.frame, TangentFrame.at(origin)
         self.frame = new
         if self._line.state is not None:
-            _carry_over(self._line.state, old, new)
+            _carry_over(self._line.state, self.filter.layout, old, new)
             self._resets_before += 1
             self._decide(self._line.change_frame(new))
 
@@ -250,6 +252,7 @@ class Estimator:
                 field_n,
                 settings.sigma,
                 settings.gate,
+                directions="b_m" in self.filter.layout.blocks,
             )
         )
 
@@ -471,8 +474,8 @@ def _yaw_remark(state: FilterState, track: Track, now_us: int) -> str:
     return f"yaw not observable (sigma {math.degrees(sigma):.0f} deg): no heading, no acceleration"
 
 
-def _carry_over(state: FilterState, old: TangentFrame, new: TangentFrame) -> None:
-    """Express a state of one tangent frame in another."""
+def _carry_over(state: FilterState, layout: Layout, old: TangentFrame, new: TangentFrame) -> None:
+    """Express a state of one tangent frame in another; of gravity's small turn, its part about level axes is kept."""
     C = new.C_ne @ old.C_ne.T
     lla = old.to_lla(state.x[:3])
     state.x[:3] = new.from_lla(*lla)
@@ -482,4 +485,7 @@ def _carry_over(state: FilterState, old: TangentFrame, new: TangentFrame) -> Non
     T = np.eye(state.P.shape[0])
     T[0:3, 0:3] = C
     T[3:6, 3:6] = C
+    if layout.has_gravity:
+        state.x[X_G] = C[:2, :2] @ state.x[X_G]
+        T[-2:, -2:] = C[:2, :2]
     state.P[:, :] = T @ state.P @ T.T

@@ -17,6 +17,7 @@ from mavins.estimator.standing import mean_rows
 from mavins.filters.base import FilterState
 from mavins.nav.earth import TangentFrame, gravity_n
 from mavins.nav.kernels import kernel
+from mavins.nav.s2 import tilted
 from mavins.nav.so3 import quat_to_dcm
 from mavins.types import FloatArray
 
@@ -31,7 +32,8 @@ def delay_parameters(
     end = buffer.row_after(t_us + AROUND_US)
     first = max(buffer.first, min(buffer.row_after(t_us - AROUND_US), end - 1))
     mean = mean_rows(buffer.readings(first, end))
-    g_n = gravity_n(state.x[:3], frame.r0_e, frame.C_ne)
+    normal = gravity_n(state.x[:3], frame.r0_e, frame.C_ne)
+    g_n = np.array(tilted((state.x[24], state.x[25]), (normal[0], normal[1], normal[2])))
     return np.concatenate(
         [state.x[19:20], mean, [signal_share(state.x, state.P, mean[3:] - state.x[13:16], g_n)]]
     )

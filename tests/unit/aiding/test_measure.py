@@ -21,6 +21,7 @@ from mavins.aiding import (
     zero_velocity,
 )
 from mavins.nav.earth import TangentFrame, gravity_n
+from mavins.nav.layout import X_SIZE
 from mavins.nav.so3 import dcm_to_quat, euler_to_quat, quat_mul, quat_to_dcm
 from mavins.types import GnssFix, HeadingFix, Origin
 
@@ -33,7 +34,7 @@ def fix(v_l: tuple[float, float, float] | None) -> GnssFix:
 
 
 def state(yaw: float = 0.0) -> np.ndarray:
-    x = np.zeros(20)
+    x = np.zeros(X_SIZE)
     x[6:10] = euler_to_quat(0.0, 0.0, yaw)
     return x
 

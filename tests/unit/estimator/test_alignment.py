@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from mavins.estimator.alignment import Start, initial_state, level
-from mavins.nav.layout import CORE, Layout, boxminus
+from mavins.nav.layout import CORE, X_SIZE, Layout, boxminus
 from mavins.nav.so3 import euler_to_quat, quat_to_dcm, quat_to_euler
 from mavins.types import FloatArray
 
@@ -80,7 +80,7 @@ def test_initial_covariance_is_that_of_the_errors(euler: FloatArray) -> None:
     runs = 4000
     q = euler_to_quat(*euler)
     f_b = quat_to_dcm(q).T @ GRAVITY
-    truth = np.zeros(20)
+    truth = np.zeros(X_SIZE)
     truth[6:10] = q
     columns = Layout.of().columns
     errors = np.empty((runs, 15))

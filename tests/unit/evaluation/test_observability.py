@@ -25,7 +25,7 @@ from mavins.evaluation.observability import (
 from mavins.evaluation.observability_table import as_dict, direction, table_lines
 from mavins.nav.earth import TangentFrame, gravity_n
 from mavins.nav.ins import increments_from_rates, mechanize
-from mavins.nav.layout import BLOCKS, CORE, X_Q, Layout, boxminus, boxplus
+from mavins.nav.layout import BLOCKS, CORE, X_Q, X_SIZE, Layout, boxminus, boxplus
 from mavins.nav.so3 import quat_exp, quat_to_dcm
 from mavins.types import FloatArray, GnssFix, HeadingFix, Origin
 
@@ -45,7 +45,7 @@ def course_of(
 ) -> Course:
     """A level course at `v_n`, from `since` on with a constant acceleration and turn about the vertical."""
     t = np.arange(round(seconds / DT) + 1) * DT
-    x, u = np.zeros((len(t), 20)), np.zeros((len(t), 6))
+    x, u = np.zeros((len(t), X_SIZE)), np.zeros((len(t), 6))
     s = np.maximum(t - since, 0.0)
     x[:, 0:3] = np.outer(t, v_n) + 0.5 * np.outer(s**2, a_n)
     x[:, 3:6] = v_n + np.outer(s, a_n)

@@ -15,7 +15,7 @@ from mavins.filters import FilterSettings, FilterState, ImuNoise, RowBlock, make
 from mavins.filters.eskf import Eskf
 from mavins.filters.walking import GAP_NOISE
 from mavins.nav.earth import TangentFrame, gravity_n
-from mavins.nav.layout import BLOCKS, Layout
+from mavins.nav.layout import BLOCKS, X_SIZE, Layout
 from mavins.types import FloatArray, Origin
 
 FRAME = TangentFrame.at(Origin(math.radians(47.4), math.radians(8.5), 488.0))
@@ -24,7 +24,7 @@ PRIOR = np.repeat([1.0, 0.3, 0.05, 0.01, 0.2], 3) ** 2
 
 
 def standing() -> FilterState:
-    x = np.zeros(20)
+    x = np.zeros(X_SIZE)
     x[6] = 1.0
     u = np.concatenate([FRAME.w_ie_n, -gravity_n(np.zeros(3), FRAME.r0_e, FRAME.C_ne)])
     return FilterState(x, np.diag(PRIOR), u, 0)

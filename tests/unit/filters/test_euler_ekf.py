@@ -14,7 +14,7 @@ from mavins.estimator.settings import HeadingSettings, Settings
 from mavins.filters import Filter, FilterSettings, FilterState, ImuNoise, RowBlock, make
 from mavins.filters.settings import EulerEkfSettings
 from mavins.nav.earth import TangentFrame, gravity_n
-from mavins.nav.layout import BLOCKS, Layout, boxminus
+from mavins.nav.layout import BLOCKS, X_SIZE, Layout, boxminus
 from mavins.nav.linalg import gated_update
 from mavins.nav.so3 import euler_jacobian, euler_to_quat, quat_to_dcm, quat_to_euler
 from mavins.types import FloatArray, GnssFix, HeadingFix, Health, ImuTable, Origin
@@ -29,7 +29,7 @@ GRAVITY = gravity_n(np.zeros(3), FRAME.r0_e, FRAME.C_ne)
 def flying(seed: int = 0, size: int = 15) -> FilterState:
     """A state at a random attitude with correlated errors."""
     rng = np.random.default_rng(seed)
-    x = np.zeros(20)
+    x = np.zeros(X_SIZE)
     x[3:6] = rng.normal(size=3) * 10.0
     x[6:10] = euler_to_quat(rng.uniform(-1, 1), rng.uniform(-1, 1), rng.uniform(-3, 3))
     x[10:16] = rng.normal(size=6) * 0.01

@@ -18,7 +18,7 @@ from mavins.filters.iterated import BLOCKS, turn_rows
 from mavins.filters.settings import IteratedSettings
 from mavins.nav import ins
 from mavins.nav.earth import TangentFrame, gravity_n, write_gravity_gradient
-from mavins.nav.layout import Layout, boxminus, boxplus
+from mavins.nav.layout import X_SIZE, Layout, boxminus, boxplus
 from mavins.nav.so3 import (
     euler_to_quat,
     quat_log,
@@ -40,7 +40,7 @@ SEEDS = range(4)
 
 def random_state(seed: int) -> FloatArray:
     rng = np.random.default_rng(seed)
-    x = rng.normal(size=20) * np.repeat([500.0, 10.0, 0.0, 0.02, 0.2, 0.0], [3, 3, 4, 3, 3, 4])
+    x = rng.normal(size=X_SIZE) * np.repeat([500.0, 10.0, 0.0, 0.02, 0.2, 0.0], [3, 3, 4, 3, 3, 4])
     x[6:10] = euler_to_quat(rng.uniform(-3, 3), rng.uniform(-1.2, 1.2), rng.uniform(-3, 3))
     return x
 
@@ -303,7 +303,7 @@ def test_error_is_linear_however_large_and_wherever_the_flight_goes() -> None:
 
 
 def rotation(phi: FloatArray) -> FloatArray:
-    x = np.zeros(20)
+    x = np.zeros(X_SIZE)
     x[6] = 1.0
     d = np.zeros(15)
     d[6:9] = phi
@@ -359,7 +359,7 @@ def heading_errors(
     begin = int(truth.t_us[np.argmax(push > 1.0)])
     i = int(np.searchsorted(truth.t_us, begin - 8_000_000))
     k = int(np.searchsorted(m.imu.t_us, truth.t_us[i]))
-    x = np.zeros(20)
+    x = np.zeros(X_SIZE)
     x[:3], x[3:6] = truth.p_n[i], truth.v_n[i]
     x[6:10] = quat_mul(euler_to_quat(0.0, 0.0, math.radians(wrong_deg)), truth.q_nb[i])
     sigma = np.repeat([0.5, 0.1, 0.01, 0.005, 0.05], 3)

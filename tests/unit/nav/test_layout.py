@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from mavins.nav.layout import BLOCKS, CORE, Layout, boxminus, boxplus
+from mavins.nav.layout import BLOCKS, CORE, X_SIZE, Layout, boxminus, boxplus
 from mavins.nav.so3 import quat_exp, quat_mul
 
 RNG = np.random.default_rng(3)
@@ -14,7 +14,7 @@ LAYOUTS = [Layout.of(), Layout.of((*CORE, "l_b")), Layout.of(BLOCKS), Layout.of(
 
 
 def random_state() -> np.ndarray:
-    x = RNG.normal(size=20)
+    x = RNG.normal(size=X_SIZE)
     x[6:10] = quat_exp(RNG.uniform(-1.5, 1.5, 3))
     return x
 
