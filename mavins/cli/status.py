@@ -283,9 +283,9 @@ def _append_estimate(text: Text, estimate: EstimateStatus, error: TruthError | N
         line = f"{_fit(estimate.mag_bias, 7, 3)}  {_fit(estimate.sd_mag_bias, 5, 3)}"
         text.append(f"{'mag bias':11} {line}\n")
     if estimate.gravity is not None and estimate.sd_gravity is not None:
-        value = _join(map(math.degrees, estimate.gravity), "7.2f")
-        sigma = _join(map(math.degrees, estimate.sd_gravity), "5.2f")
-        text.append(f"{'gravity deg':11} {value} {'':7}  {sigma}\n")
+        turn = _join(map(math.degrees, estimate.gravity), "7.2f")
+        sd = _join(map(math.degrees, estimate.sd_gravity), "5.2f")
+        text.append(f"{'gravity deg':11} {turn} {'':7}  {sd}\n")
     place = f"{estimate.lat_deg:.7f}  {estimate.lon_deg:.7f}  {estimate.alt:.2f} m"
     text.append(f"{'lat lon alt':11}   {place}\n")
 

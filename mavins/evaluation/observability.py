@@ -5,7 +5,7 @@
 over the measurements of a segment is the information on the errors at its beginning. Scaled by prior sigmas, S O S,
 its singular values count in units of the prior's own information: where one is above 1 the data beat the prior.
 
-Sources: Chen, "Linear System Theory and Design" (1984), chapter 5; Goshen-Meskin and Bar-Itzhack, "Observability
+Sources: Chen, "Linear System Theory and Design" (1999), for the Gramian; Goshen-Meskin and Bar-Itzhack, "Observability
 analysis of piece-wise constant systems" (1992); Ham and Brown (1983) for reading eigenvalues and eigenvectors.
 Theory: docs/theory/observability.md.
 """

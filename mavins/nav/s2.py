@@ -8,7 +8,7 @@ plane across u, on the basis B(u) = T [e_n e_e]:
 
     u [+] d = Exp(B d) u = T Exp((d_n, d_e, 0)) e_d,   u_1 [-] u_0 = the d with u_0 [+] d = u_1
 
-Sources: Hertzberg, Wagner, Frese and Schroeder (2013) for boxplus on spheres; He, Xu and Zhang (2021) for a basis and
+Sources: Hertzberg, Wagner, Frese and Schroeder (2011) for boxplus on spheres; He, Xu and Zhang (2021) for a basis and
 its Jacobians. Theory: docs/theory/error_state.md.
 """
 

@@ -37,7 +37,7 @@ def updated(
     return gated_update(P, r, H, R, columns, gate, d, np.empty(len(r))), d
 
 
-@pytest.mark.parametrize("columns", [CORE_COLUMNS, ALL_COLUMNS], ids=["15", "19"])
+@pytest.mark.parametrize("columns", [CORE_COLUMNS, ALL_COLUMNS], ids=["15", "25"])
 @pytest.mark.parametrize("m", [1, 2, 3, 6])
 @pytest.mark.parametrize("seed", range(3))
 def test_update_is_the_textbook_s(seed: int, m: int, columns: np.ndarray) -> None:
@@ -125,7 +125,7 @@ def test_sigmas_of_the_innovation(gate: float) -> None:
     assert_allclose(sigma, expected, rtol=1e-12)
 
 
-@pytest.mark.parametrize("size", [15, 19])
+@pytest.mark.parametrize("size", [15, 25])
 def test_reset_moves_the_error_to_the_new_attitude(size: int) -> None:
     """Errors about x become errors about x [+] d: the Jacobian is numeric, the kernel's is Jr to first order."""
     layout = Layout.of(CORE if size == 15 else BLOCKS)
