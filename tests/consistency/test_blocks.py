@@ -9,8 +9,8 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 import pytest
-from test_nees import matched_settings, origin_of, without_model_errors
 
+from mavins.config import Config
 from mavins.estimator.estimator import Estimator, Outputs
 from mavins.estimator.settings import (
     BaroSettings,
@@ -19,6 +19,7 @@ from mavins.estimator.settings import (
     StatesSettings,
 )
 from mavins.evaluation.consistency import band
+from mavins.examples.scenarios import matched, origin_of
 from mavins.filters import RowBlock
 from mavins.nav.earth import TangentFrame, gravity_n
 from mavins.nav.layout import X_BARO, X_BM, X_SIZE, boxminus
@@ -32,15 +33,30 @@ from mavins.types import (
     ImuTable,
     MagSample,
 )
-from sitl.scenario import load
+from sitl.scenario import Scenario, load
 from sitl.simulation import Measurements, simulate
 
 pytestmark = [pytest.mark.slow, pytest.mark.jit]
 RUNS = 5
 SECOND_US = 1_000_000
 EVERY_US = 200_000
-_WHITE = without_model_errors(load("quad_mission"))
-SCENARIO = dataclasses.replace(_WHITE, heading=dataclasses.replace(_WHITE.heading, rate=5))
+
+
+def white(name: str) -> Scenario:
+    """A scenario with white noises and biases only, and few headings, which take most of the time."""
+    scenario = load(name)
+    gyro, accel = (
+        dataclasses.replace(triad, scale_factor=0.0, quantum=0.0, full_scale=None)
+        for triad in (scenario.imu.gyro, scenario.imu.accel)
+    )
+    return dataclasses.replace(
+        scenario,
+        imu=dataclasses.replace(scenario.imu, gyro=gyro, accel=accel),
+        heading=dataclasses.replace(scenario.heading, rate=5),
+    )
+
+
+SCENARIO = white("quad_mission")
 FRAME = TangentFrame.at(origin_of(SCENARIO))
 DURATION = 80.0
 Aid = GnssFix | HeadingFix | BaroSample | MagSample
@@ -117,7 +133,7 @@ def test_a_barometer_that_wanders() -> None:
         gnss_delay="fixed", baro_bias="estimate", baro_bias_sigma=5.0, baro_bias_walk=0.1
     )
     settings = dataclasses.replace(
-        matched_settings(SCENARIO), states=states, baro=BaroSettings(sigma=0.1, max_rate=20.0)
+        matched(Config(), SCENARIO), states=states, baro=BaroSettings(sigma=0.1, max_rate=20.0)
     )
     which = np.r_[0:9, 15]
     values, sigmas = [], []
@@ -167,7 +183,7 @@ def test_hard_iron() -> None:
         declination_deg=3.0,
         inclination_deg=60.0,
     )
-    settings = dataclasses.replace(matched_settings(SCENARIO), states=states, magnetometer=compass)
+    settings = dataclasses.replace(matched(Config(), SCENARIO), states=states, magnetometer=compass)
     which = np.r_[0:9, 15:18]
     values, worst = [], 0.0
     for seed in range(RUNS):
@@ -204,7 +220,7 @@ def test_gravity_off_the_plumb_line_is_found(name: str) -> None:
         off = np.array(tilted(t, (g_n[0], g_n[1], g_n[2]))) - g_n
         accel_b[k] -= quat_to_dcm(m.truth.q_nb[k]).T @ off
     settings = dataclasses.replace(
-        matched_settings(SCENARIO), states=StatesSettings(gnss_delay="fixed", gravity="estimate")
+        matched(Config(), SCENARIO), states=StatesSettings(gnss_delay="fixed", gravity="estimate")
     )
     imu = dataclasses.replace(m.imu, accel_b=accel_b)
     estimator, rows = estimated(settings, imu, in_time(m, m.headings), name)

@@ -142,7 +142,9 @@ def test_an_attitude_levelled_along_gravity_is_off_by_its_tilt() -> None:
     theta = boxminus(truth, x, layout.columns)[6:9]
     assert_allclose(P[6:9, 15:] @ d / 0.01**2, theta, atol=1e-6)
     _, without = initial_state(s, Layout.of())
-    assert_allclose(P[6:9, 6:9] - without[6:9, 6:9], P[6:9, 15:] @ P[15:, 6:9] / 0.01**2, atol=1e-15)
+    assert_allclose(
+        P[6:9, 6:9] - without[6:9, 6:9], P[6:9, 15:] @ P[15:, 6:9] / 0.01**2, atol=1e-15
+    )
 
 
 def test_a_yaw_found_from_the_field_is_off_by_its_bias() -> None:
