@@ -165,8 +165,9 @@ def carry(
         for i in range(MOVING):
             for j in range(n):
                 Phi[i, j] = moved[i, j]
-        write_gravity_transition(K, x[k], g, dt)
-        add_gravity_transition(Phi, K)
+        if K.shape[1]:
+            write_gravity_transition(K, x[k], g, dt)
+            add_gravity_transition(Phi, K)
 
 
 def information(H: FloatArray, R: FloatArray, Phi: FloatArray) -> FloatArray:

@@ -70,8 +70,9 @@ def step_transition(
         for r in range(MOVING):
             for c in range(n):
                 M[r, c] = moved[r, c]
-        write_gravity_transition(K, x, g, h)
-        add_gravity_transition(M, K)
+        if K.shape[1]:
+            write_gravity_transition(K, x, g, h)
+            add_gravity_transition(M, K)
         w0, f0 = w1, f1
     for i in range(6):
         u[i] = row[i]

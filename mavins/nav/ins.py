@@ -263,12 +263,11 @@ def propagate_covariance(
 @kernel
 def write_gravity_transition(K: FloatArray, x: FloatArray, g: Vector, dt: float) -> None:
     """K (6, 2) <- what an error of gravity's direction adds to those of p_n and v_n in dt: dg dt^2/2 and dg dt."""
-    if K.shape[1]:
-        write_gravity_jacobian(K, (x[24], x[25]), g)
-        for i in range(3):
-            for j in range(2):
-                K[3 + i, j] = dt * K[i, j]
-                K[i, j] = 0.5 * dt * K[3 + i, j]
+    write_gravity_jacobian(K, (x[24], x[25]), g)
+    for i in range(3):
+        for j in range(2):
+            K[3 + i, j] = dt * K[i, j]
+            K[i, j] = 0.5 * dt * K[3 + i, j]
 
 
 @kernel
@@ -278,7 +277,7 @@ def add_gravity_transition(M: FloatArray, K: FloatArray) -> None:
     Those stay as they are, so that with the other columns' transition Phi before it this is all of the transition.
     """
     n = M.shape[0]
-    for i in range(K.shape[0] if K.shape[1] else 0):
+    for i in range(K.shape[0]):
         for c in range(M.shape[1]):
             M[i, c] += K[i, 0] * M[n - 2, c] + K[i, 1] * M[n - 1, c]
 
@@ -286,13 +285,11 @@ def add_gravity_transition(M: FloatArray, K: FloatArray) -> None:
 @kernel
 def feel_gravity(P: FloatArray, K: FloatArray) -> None:
     """P <- (I + K) P (I + K)^T, in place and exactly symmetric."""
-    if K.shape[1]:
-        add_gravity_transition(P, K)
-        add_gravity_transition(P.T, K)
-        for i in range(K.shape[0]):
-            for j in range(P.shape[0]):
-                if j > i:
-                    P[j, i] = P[i, j]
+    add_gravity_transition(P, K)
+    add_gravity_transition(P.T, K)
+    for i in range(K.shape[0]):
+        for j in range(i + 1, P.shape[0]):
+            P[j, i] = P[i, j]
 
 
 @kernel
@@ -341,8 +338,9 @@ def predict(
     g = mechanize(x, phi, dv, dt, r0_e, C_ne, w_ie_n, C)
     transition(A, C, g, phi, dv, dt, w_ie_n)
     propagate_covariance(P, A, C, dt, work)
-    write_gravity_transition(K, x, g, dt)
-    feel_gravity(P, K)
+    if K.shape[1]:
+        write_gravity_transition(K, x, g, dt)
+        feel_gravity(P, K)
     qg = scale * scale * noise[0] * noise[0] * dt
     qa = scale * scale * noise[1] * noise[1] * dt
     qbg = noise[2] * noise[2] * dt
