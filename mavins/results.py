@@ -35,6 +35,9 @@ ESTIMATES: Final = (
 EXTRA: Final = {
     "l_b": "l_b_x,l_b_y,l_b_z,sd_l_b_x,sd_l_b_y,sd_l_b_z",
     "tau": "tau,sd_tau",
+    "b_baro": "b_baro,sd_b_baro",
+    "b_m": "b_m_x,b_m_y,b_m_z,sd_b_m_x,sd_b_m_y,sd_b_m_z",
+    "g_n": "g_n,g_e,sd_g_n,sd_g_e",
 }
 """The columns that follow for each further block of states that is estimated."""
 INNOVATIONS: Final = (

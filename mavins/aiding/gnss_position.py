@@ -29,7 +29,7 @@ _NO_PARAMETERS = np.empty(0)
 def model(
     x: FloatArray, u: FloatArray, z: FloatArray, parameters: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Residual (3,) in m in n and Jacobian (3, 19); `parameters` is tau_0, or nothing where it is the state's tau."""
+    """Residual (3,) in m in n and Jacobian (3, 25); `parameters` is tau_0, or nothing where it is the state's tau."""
     C = quat_to_dcm(x[6:10])
     lever = x[16:19]
     arm = np.empty(3)

@@ -88,7 +88,7 @@ class Estimator:
         self.realignments = 0
         self.loss = ""
         self._resets_before = 0
-        self._measuring = Measuring(settings, "tau" in self.filter.layout.blocks)
+        self._measuring = Measuring(settings, self.filter.layout.blocks)
         self._aligner = Aligner(settings, self._measuring.compass)
         self._yaw_watch = YawWatch()
         self._line = self._new_line()

@@ -17,6 +17,7 @@ from mavins.estimator.standing import mean_rows
 from mavins.filters.base import FilterState
 from mavins.nav.earth import TangentFrame, gravity_n
 from mavins.nav.kernels import kernel
+from mavins.nav.s2 import tilted
 from mavins.nav.so3 import quat_to_dcm
 from mavins.types import FloatArray
 
@@ -68,4 +69,6 @@ def write_parameters(
     parameters[0] = x[19]
     for i in range(6):
         parameters[1 + i] = mean[i]
-    parameters[7] = signal_share(x, P, mean[3:] - x[13:16], gravity_n(x[:3], r0_e, C_ne))
+    normal = gravity_n(x[:3], r0_e, C_ne)
+    g_n = np.array(tilted((x[24], x[25]), (normal[0], normal[1], normal[2])))
+    parameters[7] = signal_share(x, P, mean[3:] - x[13:16], g_n)

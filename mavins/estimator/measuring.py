@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 
 import numpy as np
 
@@ -22,14 +23,18 @@ _NOTHING = np.empty(0)
 
 
 class Measuring:
-    """Makes measurements; holds what a sensor must be held against: the Earth's field, the barometer's level."""
+    """Makes measurements; holds what a sensor must be held against: the Earth's field, the barometer's level.
 
-    def __init__(self, settings: Settings, estimates_delay: bool) -> None:
+    `blocks` is what the filter estimates.
+    """
+
+    def __init__(self, settings: Settings, blocks: Collection[str]) -> None:
         self._settings = settings
-        self._estimates_delay = estimates_delay
+        self._estimates_delay = "tau" in blocks
+        self._estimates_hard_iron = "b_m" in blocks
         self._first_delay = 0.0
         self.compass = Compass(settings.magnetometer)
-        self.barometer = Barometer(settings.baro)
+        self.barometer = Barometer(settings.baro, "b_baro" in blocks)
 
     def start(self, fix: GnssFix) -> None:
         """The estimate starts from this fix, and takes its delay for the first guess."""
@@ -112,6 +117,7 @@ class Measuring:
             self.compass.reference_n(frame),
             settings.sigma,
             settings.gate,
+            directions=self._estimates_hard_iron,
         )
 
     def of_altitude(

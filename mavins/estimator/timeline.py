@@ -18,6 +18,7 @@ from mavins.estimator.fusion import Event, Fusion, Track
 from mavins.estimator.history import History, Snapshot
 from mavins.filters import Filter, FilterState, RowBlock
 from mavins.nav.earth import TangentFrame
+from mavins.nav.layout import X_G, Layout
 from mavins.nav.so3 import dcm_to_quat, quat_to_dcm
 from mavins.types import FloatArray, IntArray
 
@@ -85,7 +86,7 @@ class Timeline:
         decided = self.end()
         old, self.frame = self.frame, frame
         if self.state is not None and old is not None and old is not frame:
-            _carry_over(self.state, old, frame)
+            _carry_over(self.state, self._filter.layout, old, frame)
         self._start_here()
         return decided
 
@@ -297,8 +298,8 @@ class Timeline:
             self._snapshots.append(Snapshot(state.t_us, state.copy(), self.fusion.track))
 
 
-def _carry_over(state: FilterState, old: TangentFrame, new: TangentFrame) -> None:
-    """Express a state of one tangent frame in another."""
+def _carry_over(state: FilterState, layout: Layout, old: TangentFrame, new: TangentFrame) -> None:
+    """Express a state of one tangent frame in another; of gravity's small turn, its part about level axes is kept."""
     C = new.C_ne @ old.C_ne.T
     lla = old.to_lla(state.x[:3])
     state.x[:3] = new.from_lla(*lla)
@@ -307,4 +308,7 @@ def _carry_over(state: FilterState, old: TangentFrame, new: TangentFrame) -> Non
     T = np.eye(state.P.shape[0])
     T[0:3, 0:3] = C
     T[3:6, 3:6] = C
+    if layout.has_gravity:
+        state.x[X_G] = C[:2, :2] @ state.x[X_G]
+        T[-2:, -2:] = C[:2, :2]
     state.P[:, :] = T @ state.P @ T.T
