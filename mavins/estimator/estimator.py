@@ -34,6 +34,7 @@ from mavins.estimator.settings import Settings
 from mavins.estimator.solution import solution_of
 from mavins.estimator.standing import HALF_WINDOW_US
 from mavins.estimator.statistics import AidingStatistics
+from mavins.estimator.still import Still, still_detector
 from mavins.estimator.timeline import Timeline
 from mavins.estimator.yaw_watch import YawWatch
 from mavins.filters import Filter, FilterState, RowBlock, make
@@ -90,6 +91,7 @@ class Estimator:
         self._resets_before = 0
         self._measuring = Measuring(settings, self.filter.layout.blocks)
         self._aligner = Aligner(settings, self._measuring.compass)
+        self._still = still_detector(settings.zero_velocity)
         self._yaw_watch = YawWatch()
         self._line = self._new_line()
         self.health = Health.WAITING
@@ -143,6 +145,8 @@ class Estimator:
         self._filter_name = filter_name or self._filter_name
         self._measuring.reconfigure(new, delay_told(old, new))
         self._aligner.reconfigure(new, self._measuring.compass)
+        if old.zero_velocity != new.zero_velocity:
+            self._still = still_detector(new.zero_velocity)
         if replaced or needs_filter(old, new):
             self.filter = self._make_filter()
             self._decide(self._line.change_filter(Fusion(self.filter, new.gnss.reset_after)))
@@ -186,7 +190,7 @@ class Estimator:
         if not quality:
             speed = gnss_speed(fix)
             if not math.isnan(speed):
-                self._aligner.standing.see_speed(speed)
+                self._aligner.standing.see_speed(speed, t_us)
             measuring.barometer.see_fix(t_us, fix.alt, noise.v)
         self._aligner.see_fix(fix, t_us)
         if state is not None and frame is not None:
@@ -296,15 +300,26 @@ class Estimator:
         self._decide(self._line.prune(now_us, window_us))
 
     def _zero_velocity(self, now_us: int) -> None:
-        settings, standing = self.settings.zero_velocity, self._aligner.standing
-        if not settings.enabled or not standing.standing or self.frame is None:
+        settings, frame = self.settings.zero_velocity, self.frame
+        if not settings.enabled or frame is None:
             return
+        measurements = []
+        for t_us, gyro_b in self._stills(now_us):
+            gate, noise = settings.gate, settings.rate_sigma
+            measurements.append(zero_velocity.measure(now_us, t_us, settings.sigma, gate))
+            if settings.rate:
+                measurements.append(zero_rate.measure(now_us, t_us, gyro_b, frame, noise, gate))
+        if measurements:
+            self._take(*measurements)
+
+    def _stills(self, now_us: int) -> list[Still]:
+        """The instants since the last tick at which the vehicle stood."""
+        standing = self._aligner.standing
+        if self._still is not None:
+            assert self.frame is not None
+            return self._still.tick(self._line.buffer, now_us, self.frame, standing)
         # valid a window ago: the samples since then have confirmed that nothing moved
-        t_us, gate = now_us - HALF_WINDOW_US, settings.gate
-        self._take(
-            zero_velocity.measure(now_us, t_us, settings.sigma, gate),
-            zero_rate.measure(now_us, t_us, standing.gyro_b, self.frame, settings.rate_sigma, gate),
-        )
+        return [Still(now_us - HALF_WINDOW_US, standing.gyro_b)] if standing.standing else []
 
     def _habits(self, now_us: int) -> None:
         """What is known of the motion without a sensor for it, where it is switched on."""

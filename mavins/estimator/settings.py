@@ -156,9 +156,30 @@ class HeadingSettings:
 
 @dataclass(frozen=True, slots=True)
 class ZeroVelocitySettings:
-    """Zero velocity and zero rate while the vehicle stands before its first motion."""
+    """Zero velocity and zero rate while the vehicle stands: before its first motion, or wherever a detector says so."""
 
     enabled: Annotated[bool, Doc("Use it.")] = True
+    detector: Annotated[
+        Literal["start", "shoe", "ared", "amvd", "mag", "gnss_speed"],
+        Doc(
+            "start: only before the first motion, for what flies; the others find standing at any time, for a foot, "
+            "a wheel or a tool: never for what can hover."
+        ),
+    ] = "start"
+    rate: Annotated[bool, Doc("Use the zero rate too; a standing foot still rolls.")] = True
+    window: Annotated[
+        float, Ge(0.01), Le(1), Doc("Length of a detector's window (not of start's).", "s")
+    ] = 0.1
+    threshold: Annotated[
+        Literal["auto"] | Annotated[float, Gt(0)],
+        Doc("A detector's statistic is smaller than this while standing; auto: follows the gait."),
+    ] = "auto"
+    sigma_accel: Annotated[
+        float, Gt(0), Le(100), Doc("A detector's accelerometer noise, of one sample.", "m/s^2")
+    ] = 0.01
+    sigma_gyro: Annotated[
+        float, Gt(0), Le(10), Doc("A detector's gyro noise, of one sample.", "rad/s")
+    ] = 0.00175
     sigma: Annotated[
         float, Gt(0), Le(10), Doc("Noise of the pseudo-measurement, 1-sigma.", "m/s")
     ] = 0.1
