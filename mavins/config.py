@@ -17,6 +17,7 @@ from typing import Annotated, Any, Literal
 from mavins import __version__, typed_settings, yaml_text
 from mavins.documented import Doc
 from mavins.estimator.settings import Settings
+from mavins.mavlink.autopilot_settings import AutopilotOutputSettings, MonitorSettings
 from mavins.mavlink.settings import SessionSettings, StreamSettings
 from mavins.mavlink.sources import SourceSettings
 
@@ -34,6 +35,8 @@ class Config(Settings):
     sources: SourceSettings = SourceSettings()
     streams: StreamSettings = StreamSettings()
     mavlink: SessionSettings = SessionSettings()
+    autopilot_output: AutopilotOutputSettings = AutopilotOutputSettings()
+    monitor: MonitorSettings = MonitorSettings()
 
 
 def load(path: Path | str | None = None, overrides: Mapping[str, Any] | None = None) -> Config:

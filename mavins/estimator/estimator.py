@@ -137,6 +137,18 @@ class Estimator:
         """The newest IMU stamp, or None."""
         return self._line.buffer.newest_us if len(self._line.buffer) else None
 
+    @property
+    def standing(self) -> bool | None:
+        """True while the vehicle has not moved yet, False while it moves, None where that cannot be told."""
+        standing = self._aligner.standing
+        return True if standing.standing else False if standing.moving else None
+
+    def imu_after(self, t_us: int) -> tuple[IntArray, FloatArray]:
+        """The IMU rows of the last second that are newer than t_us: stamps (N,) and [gyro_b, accel_b] (N, 6), views."""
+        buffer = self._line.buffer
+        first = buffer.row_after(t_us)
+        return buffer.times(first, buffer.end), buffer.readings(first, buffer.end)
+
     def solution(self) -> NavSolution | None:
         """The estimate at the newest IMU stamp, or None before `running`."""
         state = self._line.state

@@ -145,6 +145,12 @@ class Clock:
         if abs(seen_us - newest) <= MAX_APART_US:
             self._unix_minus_boot = unix_us - boot_us
 
+    def unix_of(self, t_us: int) -> int | None:
+        """Microseconds since 1970 at a time on this clock, or None while the vehicle has not told."""
+        if is_unix(t_us):
+            return t_us
+        return None if self._unix_minus_boot is None else t_us + self._unix_minus_boot
+
     def map(self, stamp_us: int, received_us: int, wraps: bool = False) -> int | Rejection:
         """The time of a message that is not an IMU's, or why it has none; arguments as for
         `map_imu`.

@@ -25,6 +25,7 @@ from mavins.mavlink.codec import (
     Heartbeat,
     HilGps,
     Invalid,
+    LocalPosition,
     SystemTime,
     decode,
     fields_of,
@@ -54,6 +55,7 @@ _OTHER_IDS: Final = np.array(
             "GPS_INPUT",
             "HIL_GPS",
             "ATTITUDE",
+            "LOCAL_POSITION_NED",
         )
     ),
     dtype=np.int64,
@@ -64,6 +66,7 @@ _FROM_ANY_COMPONENT: Final = ("GPS_INPUT", "HIL_GPS")
 _MAV_AUTOPILOT_INVALID: Final = 8
 _ATTITUDE_ID: Final = fields_of("ATTITUDE").msgid
 _GLOBAL_POSITION_ID: Final = fields_of("GLOBAL_POSITION_INT").msgid
+_LOCAL_POSITION_ID: Final = fields_of("LOCAL_POSITION_NED").msgid
 
 
 def _boot_stamps(frames: Frames, at: IntArray) -> list[int]:
@@ -86,11 +89,24 @@ class Stamped(Protocol):
         """The stamp as sent."""
 
 
+class Watcher(Protocol):
+    """Who looks at what an autopilot says of itself; it changes no estimate."""
+
+    def wants(self, msgid: int, stamp_us: int, autopilot: int | None) -> bool:
+        """True for a packet that is to be shown."""
+
+    def see(self, msgid: int, message: Any, t_us: int) -> None:
+        """Look at a message, whose stamp is `t_us` on the vehicle's time base."""
+
+
 class Intake:
     """Feeds one vehicle's estimator from its packets."""
 
-    def __init__(self, estimator: Feed, settings: SourceSettings) -> None:
+    def __init__(
+        self, estimator: Feed, settings: SourceSettings, watcher: Watcher | None = None
+    ) -> None:
         self.estimator = estimator
+        self.watcher = watcher
         self.clock = Clock()
         self.sources: Sources | None = None
         self.autopilot: int | None = None
@@ -139,12 +155,17 @@ class Intake:
         for i, stamp_us, before in zip(
             others.tolist(), stamps, np.searchsorted(samples.at, others).tolist(), strict=True
         ):
-            if self._is_idle(int(frames.msgid[i]), stamp_us):
+            msgid = int(frames.msgid[i])
+            idle, watched = self._is_idle(msgid, stamp_us), self._is_watched(msgid, stamp_us)
+            if idle and not watched:
                 continue
             if before > taken:
                 self._place(samples, slice(taken, before))
                 taken = before
-            self._take_other(frames, i)
+            if watched:
+                self._show(frames, i)
+            if not idle:
+                self._take_other(frames, i)
         if taken < len(samples.at):
             self._place(samples, slice(taken, len(samples.at)))
 
@@ -153,7 +174,10 @@ class Intake:
         msgid = int(frames.msgid[0])
         self.counts[name_of(msgid)] += 1
         if msgid not in IMU_KINDS:
-            if not self._is_idle(msgid, int.from_bytes(frames.body(0, 4), "little") * 1000):
+            stamp_us = int.from_bytes(frames.body(0, 4), "little") * 1000
+            if self._is_watched(msgid, stamp_us):
+                self._show(frames, 0)
+            if not self._is_idle(msgid, stamp_us):
                 self._take_other(frames, 0)
         elif self.imu.chosen is not None or self.imu.offer(frames, 0):
             sample = self.imu.sample(frames, 0)
@@ -171,6 +195,8 @@ class Intake:
     def _is_idle(self, msgid: int, stamp_us: int) -> bool:
         """True for a packet that will change nothing, told at a glance: most ATTITUDEs and GLOBAL_POSITION_INTs."""
         sources = self.sources
+        if msgid == _LOCAL_POSITION_ID:
+            return True
         if sources is None:
             return False
         if msgid == _ATTITUDE_ID:
@@ -178,6 +204,21 @@ class Intake:
         if msgid == _GLOBAL_POSITION_ID:
             return sources.gnss != "global_position_int" and not sources.vertical_velocity
         return False
+
+    def _is_watched(self, msgid: int, stamp_us: int) -> bool:
+        """True for a packet that the watcher wants to see."""
+        return self.watcher is not None and self.watcher.wants(msgid, stamp_us, self.autopilot)
+
+    def _show(self, frames: Frames, i: int) -> None:
+        """Let the watcher see a message of the vehicle's autopilot, where it has a time; nothing is counted."""
+        if int(frames.compid[i]) != self.imu.compid:
+            return
+        message = decode(frames, i)
+        if isinstance(message, Attitude | GlobalPosition | LocalPosition):
+            assert self.watcher is not None
+            t_us = self.clock.map(message.stamp_us, int(frames.t_us[i]), message.wraps)
+            if isinstance(t_us, int):
+                self.watcher.see(int(frames.msgid[i]), message, t_us)
 
     def _too_soon(self, stamp_us: int) -> bool:
         """True for a heading that follows the last one sooner than the sources allow."""

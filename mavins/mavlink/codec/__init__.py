@@ -7,9 +7,14 @@
     packet = frame(local_position_ned(solution), sysid=100, compid=1, seq=0)
 
 fields: wire layouts from pymavlink's dialect; framing: packets in bytes; messages, decode: bytes ->
-SI; encode, outputs: SI -> bytes.
+SI; encode, outputs, covariances, to_autopilot: SI -> bytes.
 """
 
+from mavins.mavlink.codec.covariances import (
+    attitude_quaternion_cov,
+    global_position_int_cov,
+    local_position_ned_cov,
+)
 from mavins.mavlink.codec.decode import (
     FIRST_UNIX_US,
     decode,
@@ -47,6 +52,7 @@ from mavins.mavlink.codec.messages import (
     ImuMessage,
     ImuRows,
     Invalid,
+    LocalPosition,
     Message,
     OriginRequest,
     SimState,
@@ -58,7 +64,9 @@ from mavins.mavlink.codec.outputs import (
     attitude_quaternion,
     autopilot_version,
     command_ack,
+    ekf_status_report,
     estimator_status,
+    extended_sys_state,
     global_position_from,
     gps_global_origin,
     highres_imu_from,
@@ -70,6 +78,13 @@ from mavins.mavlink.codec.outputs import (
     statustext,
     sys_status,
     twist_covariance,
+    vibration,
+)
+from mavins.mavlink.codec.to_autopilot import (
+    gps_input,
+    odometry_for_ardupilot,
+    odometry_for_px4,
+    vision_position_estimate,
 )
 
 __all__ = [
@@ -91,6 +106,7 @@ __all__ = [
     "ImuMessage",
     "ImuRows",
     "Invalid",
+    "LocalPosition",
     "Message",
     "OriginRequest",
     "Payload",
@@ -100,6 +116,7 @@ __all__ = [
     "attitude",
     "attitude_from",
     "attitude_quaternion",
+    "attitude_quaternion_cov",
     "autopilot_version",
     "boot_ms",
     "command_ack",
@@ -107,12 +124,16 @@ __all__ = [
     "decode_fields",
     "decode_imu",
     "decode_truth",
+    "ekf_status_report",
     "estimator_status",
+    "extended_sys_state",
     "fields_of",
     "frame",
     "global_position_from",
     "global_position_int",
+    "global_position_int_cov",
     "gps_global_origin",
+    "gps_input",
     "gps_raw_int",
     "heartbeat",
     "highres_imu",
@@ -120,8 +141,11 @@ __all__ = [
     "hil_state_quaternion",
     "home_position",
     "local_position_ned",
+    "local_position_ned_cov",
     "name_of",
     "odometry",
+    "odometry_for_ardupilot",
+    "odometry_for_px4",
     "param_value",
     "payload",
     "payload_rows",
@@ -132,4 +156,6 @@ __all__ = [
     "sys_status",
     "system_time",
     "twist_covariance",
+    "vibration",
+    "vision_position_estimate",
 ]
