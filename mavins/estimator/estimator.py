@@ -139,9 +139,20 @@ class Estimator:
 
     @property
     def standing(self) -> bool | None:
-        """True while the vehicle has not moved yet, False while it moves, None where that cannot be told."""
-        standing = self._aligner.standing
-        return True if standing.standing else False if standing.moving else None
+        """True until the first motion, False at a speed, else None: a hover looks as a landed vehicle does."""
+        standing, state = self._aligner.standing, self._line.state
+        if standing.standing:
+            return True
+        if state is None or not standing.moved:
+            return None
+        limit = self.settings.zero_velocity.speed_limit
+        return False if float(np.linalg.norm(state.x[3:6])) > limit else None
+
+    def yaw_from_motion(self) -> tuple[float, float] | None:
+        """(yaw in l, sigma) in rad that IMU and GNSS velocities show without any heading; None where they do not."""
+        buffer = self._line.buffer
+        seen = self._aligner.motion.at(buffer, buffer.newest_us) if len(buffer) else None
+        return (seen.yaw, seen.sigma) if seen is not None and seen.trusted else None
 
     def imu_after(self, t_us: int) -> tuple[IntArray, FloatArray]:
         """The IMU rows of the last second that are newer than t_us: stamps (N,) and [gyro_b, accel_b] (N, 6), views."""

@@ -55,11 +55,6 @@ class StandingDetector:
         """True while the vehicle stands and has not moved since it was first found standing."""
         return self.quiet and not self.moved and self._speed < self._settings.speed_limit
 
-    @property
-    def moving(self) -> bool:
-        """True while the IMU or GNSS shows motion; a vehicle that neither stands nor moves may hover or have landed."""
-        return self.moved and (not self.quiet or self._speed >= self._settings.speed_limit)
-
     def see_speed(self, speed: float) -> None:
         """The horizontal speed (m/s) of a fix that nothing speaks against."""
         self._speed = speed

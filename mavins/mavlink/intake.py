@@ -98,6 +98,9 @@ class Watcher(Protocol):
     def see(self, msgid: int, message: Any, t_us: int) -> None:
         """Look at a message, whose stamp is `t_us` on the vehicle's time base."""
 
+    def summary(self) -> dict[str, Any] | None:
+        """What was seen in all, for the summary of a run."""
+
 
 class Intake:
     """Feeds one vehicle's estimator from its packets."""

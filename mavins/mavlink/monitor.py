@@ -16,7 +16,7 @@ from mavins.mavlink.autopilot_settings import MonitorSettings
 from mavins.mavlink.codec import Attitude, GlobalPosition, LocalPosition, fields_of
 from mavins.mavlink.sources import ARDUPILOT, PX4
 from mavins.mavlink.track import Instant, Own, Track, tilt_and_yaw
-from mavins.nav.so3 import euler_to_quat
+from mavins.nav.so3 import euler_to_quat, wrap_pi
 from mavins.status import MonitorStatus
 
 LOOK_US: Final = 190_000
@@ -153,28 +153,43 @@ class Monitor:
         if isinstance(message, Attitude):
             q_lb = euler_to_quat(message.roll, message.pitch, message.yaw)
             tilt, yaw = tilt_and_yaw(q_lb, ours.q_lb)
-            self._judge(ours, {"tilt": tilt, "yaw": abs(yaw)})
+            self._judge(ours, "tilt", tilt)
+            self._judge(ours, "yaw", *self._worse_yaw(ours, yaw))
         elif isinstance(message, GlobalPosition):
             theirs_n = ours.frame.from_lla(message.lat, message.lon, message.alt)
             d_l = ours.c_ln @ (theirs_n - ours.p_n)
-            self._judge(ours, {"position": math.hypot(d_l[0], d_l[1]), "height": abs(d_l[2])})
-            self._judge(ours, {"velocity": _distance(message.v_l, ours)})
+            self._judge(ours, "position", math.hypot(d_l[0], d_l[1]))
+            self._judge(ours, "height", abs(float(d_l[2])))
+            self._judge(ours, "velocity", _distance(message.v_l, ours))
         elif isinstance(message, LocalPosition):
-            self._judge(ours, {"velocity": _distance(message.v_n, ours)})
+            self._judge(ours, "velocity", _distance(message.v_n, ours))
 
     def _forget(self) -> None:
         for quantity in self.quantities.values():
+            quantity.t_us = 0  # the vehicle's clock may have started again
             if quantity.forget():
                 self._texts.append((f"mavins: autopilot {quantity.name} is not compared", False))
 
-    def _judge(self, ours: Instant, differences: dict[str, float]) -> None:
-        for name, difference in differences.items():
-            quantity = self.quantities[name]
-            sigma = self._settings.sigmas * ours.sigma[name]
-            if ours.t_us >= quantity.t_us and quantity.see(
-                ours.t_us, difference, sigma, self._after_us
-            ):
-                self._texts.append((quantity.text(), quantity.warning))
+    def _judge(
+        self, ours: Instant, name: str, difference: float, sigma: float | None = None
+    ) -> None:
+        quantity = self.quantities[name]
+        share = self._settings.sigmas * (ours.sigma[name] if sigma is None else sigma)
+        if ours.t_us >= quantity.t_us and quantity.see(
+            ours.t_us, difference, share, self._after_us
+        ):
+            self._texts.append((quantity.text(), quantity.warning))
+
+    def _worse_yaw(self, ours: Instant, yaw: float) -> tuple[float, float]:
+        """(difference, sigma) of the autopilot's yaw from ours, or from what motion shows, whichever is worse.
+
+        Our own heading may be the autopilot's: a slow drift of it takes our yaw along, but not that of motion.
+        """
+        sigmas = [(abs(yaw), ours.sigma["yaw"])]
+        if ours.motion is not None:
+            sigmas.append((abs(wrap_pi(yaw - ours.motion[0])), ours.motion[1]))
+        allowed, share = self.quantities["yaw"].allowed, self._settings.sigmas
+        return max(sigmas, key=lambda pair: pair[0] / (allowed + share * pair[1]))
 
     # ---- what is told ------------------------------------------------------------------------------------------
 

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Protocol
 
-import numpy as np
-
 from mavins.nav.earth import TangentFrame
-from mavins.nav.so3 import quat_conj, quat_exp, quat_log, quat_mul, quat_to_dcm
+from mavins.nav.so3 import quat_conj, quat_exp, quat_log, quat_mul, quat_to_dcm, wrap_pi
 from mavins.types import FloatArray, NavSolution
 
 REACH_US: Final = 100_000
@@ -34,10 +32,16 @@ class Own(Protocol):
     def solution(self) -> NavSolution | None:
         """The estimate at the newest IMU stamp, or None."""
 
+    def yaw_from_motion(self) -> tuple[float, float] | None:
+        """(yaw in l, sigma) in rad at the newest IMU stamp without any heading, or None."""
+
 
 @dataclass(frozen=True, slots=True)
 class Instant:
-    """Our solution at one instant: p_n, v_l, q_lb, the rates w_b, c_ln, and the 1-sigma of each quantity."""
+    """Our solution at one instant: p_n, v_l, q_lb, the rates w_b, c_ln, and the 1-sigma of each quantity.
+
+    `motion` is how far the yaw that motion alone shows is from ours, and its sigma.
+    """
 
     t_us: int
     resets: int
@@ -48,14 +52,17 @@ class Instant:
     w_b: FloatArray
     c_ln: FloatArray
     sigma: dict[str, float]
+    motion: tuple[float, float] | None
 
     @classmethod
-    def of(cls, solution: NavSolution, frame: TangentFrame) -> Instant:
+    def of(
+        cls, solution: NavSolution, frame: TangentFrame, yaw: tuple[float, float] | None
+    ) -> Instant:
         """Take from a solution what is compared."""
         c_ln = frame.local_level(solution.lat, solution.lon)
         c_lb = quat_to_dcm(solution.q_lb)
-        variance = solution.P.diagonal()
-        turn = np.diag(c_lb @ solution.P[6:9, 6:9] @ c_lb.T)
+        variance = solution.P.diagonal().tolist()
+        turn = ((c_lb @ solution.P[6:9, 6:9]) * c_lb).sum(axis=1).tolist()
         sigma = {
             "position": math.sqrt(variance[0] + variance[1]),
             "height": math.sqrt(variance[2]),
@@ -73,6 +80,7 @@ class Instant:
             solution.w_b,
             c_ln,
             sigma,
+            None if yaw is None else (wrap_pi(yaw[0] - solution.yaw), yaw[1]),
         )
 
     def moved(self, t_us: int) -> Instant:
@@ -97,9 +105,7 @@ class Instant:
         )
 
     def _with(self, t_us: int, p_n: FloatArray, v_l: FloatArray, q_lb: FloatArray) -> Instant:
-        return Instant(
-            t_us, self.resets, self.frame, p_n, v_l, q_lb, self.w_b, self.c_ln, self.sigma
-        )
+        return replace(self, t_us=t_us, p_n=p_n, v_l=v_l, q_lb=q_lb)
 
 
 class Track:
@@ -119,7 +125,7 @@ class Track:
         if solution is None or frame is None or went_back:
             ring.clear()
             return False
-        ring.append(Instant.of(solution, frame))
+        ring.append(Instant.of(solution, frame, self._own.yaw_from_motion()))
         return True
 
     def at(self, t_us: int) -> Instant | None:
