@@ -262,3 +262,24 @@ def test_habits_are_used_where_they_are_switched_on() -> None:
         statistics = v.estimator.statistics[name]
         assert statistics.accepted > 5
         assert not statistics.rejected
+
+
+def test_what_it_tells_beside_its_solution() -> None:
+    v = Vehicle()
+    assert v.estimator.standing is None
+    assert v.estimator.yaw_from_motion() is None
+    assert len(v.estimator.imu_after(-1)[0]) == 0
+    v.go(6.0)
+    assert v.estimator.standing is True
+    assert v.estimator.yaw_from_motion() is None, "nothing has moved"
+    times, rows = v.estimator.imu_after(v.t_us - 50_000)
+    assert times.tolist() == [v.t_us - 10_000 * k for k in (4, 3, 2, 1, 0)]
+    assert rows.shape == (5, 6)
+    v.gyro_bias[:] = 1.0  # as good as a turn
+    v.go(1.0)
+    state = v.estimator._line.state
+    assert state is not None
+    state.x[3:6] = 0.0
+    assert v.estimator.standing is None, "it moved, but not away"
+    state.x[3] = 5.0
+    assert v.estimator.standing is False
