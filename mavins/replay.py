@@ -26,14 +26,18 @@ from mavins.logs.csv_feed import feed_folder, settled
 from mavins.logs.csv_folder import read_csv_folder
 from mavins.logs.tlog import read_tlog
 from mavins.logs.truth import TruthTable, truth_of
-from mavins.mavlink.codec import IMU_KINDS, Frames, OriginRequest, decode, fields_of
+from mavins.mavlink.codec import IMU_KINDS, Frames, OriginRequest, decode
+from mavins.mavlink.commands import COMMAND_INT, COMMAND_LONG, Command, carry_out
 from mavins.mavlink.intake import RELEVANT, Intake
-from mavins.mavlink.session import sysid_for
+from mavins.mavlink.peers import Identity
+from mavins.mavlink.requests import SET_GPS_GLOBAL_ORIGIN, decode_packet, is_for
+from mavins.mavlink.session import identity_for
 from mavins.mavlink.settings import SessionSettings
 from mavins.results import EstimatesFile, ResultWriter, write_json, write_text
 from mavins.types import FloatArray, IntArray, Origin
 
-SET_GPS_GLOBAL_ORIGIN = fields_of("SET_GPS_GLOBAL_ORIGIN").msgid
+CHANGES = np.array([SET_GPS_GLOBAL_ORIGIN, COMMAND_INT, COMMAND_LONG])
+"""What others may have asked of us, which a recording holds only where it was carried out."""
 CHUNK = 20_000
 """Packets between two reports of progress."""
 
@@ -180,8 +184,8 @@ class TlogSource:
         """The vehicle's packets through an intake."""
         sysid = self._sysid
         self._intake = Intake(estimator, self.config.sources)
-        our = our_sysid(self._frames, sysid, self.config.mavlink)
-        _feed(self._intake, self._frames, sysid, our, progress)
+        who = our_identity(self._frames, sysid, self.config.mavlink)
+        _feed(self._intake, self._frames, sysid, who, progress)
         if self._intake.imu.chosen is None:
             raise LogFormatError(f"the log has no usable IMU messages of vehicle {sysid}")
 
@@ -240,38 +244,55 @@ def _columns(truth: TruthTable) -> Truth:
     return Truth(truth.t_us, lla, truth.v_l, truth.q_lb)
 
 
-def our_sysid(frames: Frames, sysid: int, settings: SessionSettings) -> int:
-    """The sysid under which a live session, seeing these packets, speaks about a vehicle."""
+def our_identity(frames: Frames, sysid: int, settings: SessionSettings) -> Identity | None:
+    """Under which ids a live session, seeing these packets, speaks about a vehicle; None for one without an IMU."""
     imu_at = np.flatnonzero(np.isin(frames.msgid, list(IMU_KINDS)))
     vehicles, first = np.unique(frames.sysid[imu_at], return_index=True)
-    ours: dict[int, int] = {}
+    ours: dict[int, Identity] = {}
     for k in np.argsort(first).tolist():
         vehicle = int(vehicles[k])
-        if vehicle not in ours.values():  # a recording holds our own HIGHRES_IMU too
+        taken = {who.sysid for who in ours.values()}
+        if vehicle not in taken or settings.persona == "companion":
             seen = set(frames.sysid[: imu_at[first[k]] + 1].tolist())
-            ours[vehicle] = sysid_for(vehicle, settings, seen, set(ours.values()))
-    return ours.get(sysid, 0)
+            ours[vehicle] = identity_for(vehicle, settings, seen, taken)
+    return ours.get(sysid)
 
 
 def _feed(
-    intake: Intake, frames: Frames, sysid: int, our: int, progress: Callable[[float], None]
+    intake: Intake,
+    frames: Frames,
+    sysid: int,
+    who: Identity | None,
+    progress: Callable[[float], None],
 ) -> None:
-    """All of a vehicle's packets, and between them the origins that others asked of us, who speak as `our`."""
+    """All of a vehicle's packets, and between them what others asked of us, who speak as `who`."""
     relevant = (frames.sysid == sysid) & np.isin(frames.msgid, RELEVANT)
-    chosen = frames.select(relevant | (frames.msgid == SET_GPS_GLOBAL_ORIGIN))
-    at_origin = np.flatnonzero(chosen.msgid == SET_GPS_GLOBAL_ORIGIN)
-    edges = np.unique(np.concatenate([np.arange(0, len(chosen), CHUNK), at_origin, at_origin + 1]))
+    if who is not None:
+        relevant &= (frames.sysid != who.sysid) | (frames.compid != who.compid)
+    chosen = frames.select(relevant | np.isin(frames.msgid, CHANGES))
+    at = np.flatnonzero(np.isin(chosen.msgid, CHANGES))
+    edges = np.unique(np.concatenate([np.arange(0, len(chosen), CHUNK), at, at + 1]))
     for start, end in itertools.pairwise([*edges.tolist(), len(chosen)]):
         if start == end:
             continue
         part = chosen.select(np.arange(start, end))
-        if part.msgid[0] == SET_GPS_GLOBAL_ORIGIN:
-            request = decode(part, 0)
-            if isinstance(request, OriginRequest) and request.target_system in (0, our):
-                intake.estimator.set_origin(Origin(request.lat, request.lon, request.alt))
-        else:
+        if part.msgid[0] not in CHANGES:
             intake.take(part)
+        elif who is not None:
+            _change(intake.estimator, part, who)
         progress(end / len(chosen))
+
+
+def _change(estimator: Feed, frames: Frames, who: Identity) -> None:
+    """Carry out again what was asked of us."""
+    if frames.msgid[0] == SET_GPS_GLOBAL_ORIGIN:
+        request = decode(frames, 0)
+        if isinstance(request, OriginRequest) and request.target_system in (0, who.sysid):
+            estimator.set_origin(Origin(request.lat, request.lon, request.alt))
+        return
+    message = decode_packet(frames, 0)
+    if message is not None and is_for(message, who):
+        carry_out(Command.of(message), estimator)
 
 
 def summarize(estimator: Estimator, intake: Intake) -> dict[str, Any]:

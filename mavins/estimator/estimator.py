@@ -186,6 +186,13 @@ class Estimator:
         """Forget all samples and the estimate (the vehicle has rebooted); the origin stays."""
         self._lost(reason, Health.WAITING)
 
+    def calibrate(self, reason: str) -> bool:
+        """Learn the gyro's biases and the attitude anew, where the vehicle stands; False in motion."""
+        if self.running and not self._aligner.standing.standing:
+            return False
+        self.restart(reason)
+        return True
+
     def feed_imu(self, table: ImuTable) -> None:
         """Take IMU samples in the order of their arrival."""
         t_us, imu = to_body(table, self._imu_delay_us, self._rotation)

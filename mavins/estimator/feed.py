@@ -19,6 +19,9 @@ class Feed(Protocol):
     def restart(self, reason: str) -> None:
         """Forget all samples and the estimate."""
 
+    def calibrate(self, reason: str) -> bool:
+        """Align anew where the vehicle stands; False where it does not."""
+
     def feed_imu(self, table: ImuTable) -> None:
         """Take IMU samples."""
 

@@ -35,6 +35,11 @@ class Tape:
         """Keep a new beginning."""
         self.feeds.append(("restart", reason))
 
+    def calibrate(self, reason: str) -> bool:
+        """Keep the wish; whether the vehicle stands is the estimator's to say."""
+        self.feeds.append(("calibrate", reason))
+        return True
+
     def feed_imu(self, table: ImuTable) -> None:
         """Keep IMU samples."""
         self.feeds.append(("feed_imu", table))

@@ -8,27 +8,55 @@ datagram), so that a recording of the packets and their stamps gives the same es
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
 from collections.abc import Callable, Collection, Hashable, Iterable
-from dataclasses import dataclass, field
 from typing import Final, Protocol
 
 import numpy as np
 
 from mavins.estimator.estimator import Estimator
-from mavins.mavlink.codec import IMU_KINDS, Damage, Frames, OriginRequest, Payload, frame, scan
+from mavins.mavlink.codec import (
+    IMU_KINDS,
+    Damage,
+    Frames,
+    OriginRequest,
+    Payload,
+    fields_of,
+    frame,
+    scan,
+    statustext,
+)
 from mavins.mavlink.codec import decode as decode_frame
 from mavins.mavlink.intake import RELEVANT, Intake
-from mavins.mavlink.requests import COMMANDS, SET_GPS_GLOBAL_ORIGIN, answer, decode_packet
+from mavins.mavlink.microservice import Request
+from mavins.mavlink.peers import Identity, Peer, Peers
+from mavins.mavlink.requests import (
+    BY_MSGID,
+    MICROSERVICES,
+    REQUESTS,
+    SET_GPS_GLOBAL_ORIGIN,
+    changes_state,
+    decode_packet,
+    is_for,
+)
+from mavins.mavlink.router import Router
 from mavins.mavlink.settings import SessionSettings, StreamSettings
 from mavins.mavlink.sources import ARDUPILOT, PX4, SourceSettings
-from mavins.mavlink.vehicle import Holder, Vehicle
+from mavins.mavlink.vehicle import Due, Holder, Vehicle
 from mavins.types import Origin
 
-COMPID: Final = 1
+AUTOPILOT: Final = 1
+COMPANION: Final = 191
+"""MAV_COMPONENT: AUTOPILOT1, ONBOARD_COMPUTER."""
 _RELEVANT: Final = frozenset(RELEVANT.tolist())
-_REQUESTS: Final = frozenset((*COMMANDS, SET_GPS_GLOBAL_ORIGIN))
-_ODOMETRY = 331
+_NOT_TO_AUTOPILOTS: Final = frozenset(fields_of(n).msgid for n in ("ODOMETRY", "SYSTEM_TIME"))
+"""An autopilot would take them for an external position, and set its clock by our time."""
+
+
+_WARNING: Final = 4
+_WARNING_ID: Final = 0xFFFF
+"""MAV_SEVERITY of a refusal, and the number of its text, which no other text comes to."""
 
 
 class Recorder(Protocol):
@@ -38,24 +66,19 @@ class Recorder(Protocol):
         """Append one packet."""
 
 
-@dataclass(slots=True)
-class Peer:
-    """An address that receives our streams. `seen_us` None: one that was named by the user and never expires."""
-
-    seen_us: int | None
-    sequence: dict[int, int] = field(default_factory=dict)
-
-    def next_sequence(self, sysid: int) -> int:
-        """The number of the next packet of one of our sysids to this peer."""
-        number = self.sequence.get(sysid, 0)
-        self.sequence[sysid] = (number + 1) % 256
-        return number
+def identity_for(
+    sysid: int, settings: SessionSettings, seen: Collection[int], ours: Collection[int]
+) -> Identity:
+    """Under which ids we speak about vehicle `sysid`: as its companion, or with a sysid of our own, which is one of
+    those not `seen` in use nor `ours` for another vehicle."""
+    companion = settings.persona == "companion"
+    compid = settings.compid if settings.compid != "auto" else COMPANION if companion else AUTOPILOT
+    return Identity(sysid if companion else _own_sysid(sysid, settings, seen, ours), compid)
 
 
-def sysid_for(
+def _own_sysid(
     sysid: int, settings: SessionSettings, seen: Collection[int], ours: Collection[int]
 ) -> int:
-    """The sysid under which we speak about vehicle `sysid`: of those not `seen` in use, nor `ours` for another one."""
     if settings.sysid != "auto" and not ours:
         return settings.sysid
     candidates = [1 + (sysid + 98 + k) % 250 for k in range(250)]
@@ -77,10 +100,11 @@ class Session:
         transmit: Callable[[bytes, Hashable], None] | None = None,
     ) -> None:
         self.vehicles: dict[int, Vehicle] = {}
-        self.peers: dict[Hashable, Peer] = {}
         self.dropped: Counter[str] = Counter()
+        self.peers = Peers(settings.max_peers, round(settings.peer_timeout * 1e6), self.dropped)
         self.packets_in = 0
         self.packets_out = 0
+        self.packets_routed = 0
         self._settings = settings
         self._streams = streams
         self._sources = sources
@@ -91,12 +115,13 @@ class Session:
         self._out: list[tuple[bytes, Hashable]] = []
         # a service sends each packet as soon as it is made; without one they wait for `datagrams`
         self._transmit = transmit or (lambda data, address: self._out.append((data, address)))
+        self._router = Router() if settings.route else None
         self._seen_sysids: set[int] = set()
         self._wanted_origins: list[OriginRequest] = []
 
     def add_peer(self, address: Hashable) -> None:
         """A peer that receives without having sent."""
-        self.peers[address] = Peer(None)
+        self.peers.name(address)
 
     def receive(self, data: bytes, address: Hashable, now_us: int) -> Frames:
         """Take one datagram; returns its packets that were let in (evaluation looks for truth among them)."""
@@ -107,15 +132,30 @@ class Session:
             return frames
         self.packets_in += len(frames)
         frames = self._let_in(frames, address, now_us)
+        if self._router is not None:
+            self._router.hear(frames, address)
+            for packet, to in self._router.forward(frames, address, self.peers):
+                self._transmit(packet, to)
+                self.packets_routed += 1
+        msgids, sysids = frames.msgid.tolist(), frames.sysid.tolist()
+        requests = {i: decode_packet(frames, i) for i, n in enumerate(msgids) if n in REQUESTS}
+        trusted = self._settings.allow_remote_config or self._is_local(address)
+        # a recording holds only requests that were carried out, so that a replay may carry them out again
+        refused = [] if trusted else [i for i, m in requests.items() if m and changes_state(m)]
         if self._recorder is not None:
             for i in range(len(frames)):
-                self._recorder.write(now_us, frames.packet(i))
-        msgids, sysids = frames.msgid.tolist(), frames.sysid.tolist()
+                if i not in refused:
+                    self._recorder.write(now_us, frames.packet(i))
         start = 0
         # a request takes effect at its place among the packets, as it will in a replay
-        for i in [i for i, msgid in enumerate(msgids) if msgid in _REQUESTS]:
+        for i, message in requests.items():
             self._feed(frames, sysids, msgids, start, i)
-            self._request(frames, i, address, now_us)
+            if message is not None:
+                sender = (sysids[i], int(frames.compid[i]))
+                request = Request(message, sender, address, trusted, now_us)
+                self._answer(request, frames, i)
+                if i in refused:
+                    self._warn(address)
             start = i + 1
         self._feed(frames, sysids, msgids, start, len(msgids))
         return frames
@@ -131,16 +171,26 @@ class Session:
             mine = [k for k in range(start, end) if sysids[k] == sysid and msgids[k] in _RELEVANT]
             if mine:
                 chosen = frames if len(mine) == len(msgids) else frames.select(np.array(mine))
-                self._say(vehicle, vehicle.take(chosen), int(frames.t_us[0]))
+                now_us = int(frames.t_us[0])
+                self._say(vehicle, vehicle.take(chosen), now_us)
+                due = vehicle.estimate_due()
+                if due is not None:
+                    self._stream(vehicle, due, now_us)
 
     def tick(self, now_us: int) -> None:
         """What is due by our own clock; call it some ten times a second."""
         for vehicle in self.vehicles.values():
             self._say(vehicle, vehicle.tick(now_us), now_us)
-        limit_us = self._settings.peer_timeout * 1e6
-        for address, peer in list(self.peers.items()):
-            if peer.seen_us is not None and now_us - peer.seen_us > limit_us:
-                del self.peers[address]
+            self._stream(vehicle, vehicle.service_due(now_us), now_us)
+            for service in MICROSERVICES:
+                for address, payload in service.tick(now_us, vehicle):
+                    self._send(vehicle, payload, address)
+                    self._record(vehicle, payload, now_us)
+        for address in self.peers.expire(now_us):
+            for vehicle in self.vehicles.values():
+                vehicle.forget_peer(address)
+            if self._router is not None:
+                self._router.forget(address)
 
     def datagrams(self) -> list[tuple[bytes, Hashable]]:
         """What is to be sent now: (bytes, address), in order."""
@@ -151,24 +201,19 @@ class Session:
 
     def _let_in(self, frames: Frames, address: Hashable, now_us: int) -> Frames:
         """The packets that count: not our own that came back, and of a vehicle only those of its own address."""
-        sysids, out = frames.sysid.tolist(), set[int]()
-        if self._is_usual(sysids, address):
+        sysids, compids, out = frames.sysid.tolist(), frames.compid.tolist(), set[int]()
+        if self._is_usual(sysids, compids, address):
             self.vehicles[sysids[0]].holder.seen_us = now_us
             self._see_peer(address, now_us)
             return frames
-        ours = {vehicle.our_sysid for vehicle in self.vehicles.values()}
-        if not self._is_local(address):
-            # turned away here and not later, so that a recording holds only requests that were carried out
-            foreign = np.flatnonzero(frames.msgid == SET_GPS_GLOBAL_ORIGIN).tolist()
-            out.update(foreign)
-            self.dropped["SET_GPS_GLOBAL_ORIGIN from another host"] += len(foreign)
-        for sysid in sorted(set(sysids)):
-            at = [i for i, s in enumerate(sysids) if s == sysid]
-            if sysid in ours:
-                echo = [i for i in at if int(frames.compid[i]) == COMPID]
-                out.update(echo)
-                self.dropped["our own packets"] += len(echo)
-                continue
+        ours = {vehicle.identity for vehicle in self.vehicles.values()}
+        taken = {who.sysid for who in ours if who.sysid not in self.vehicles}
+        echo = [i for i, who in enumerate(zip(sysids, compids, strict=True)) if who in ours]
+        if echo:
+            out.update(echo)
+            self.dropped["our own packets"] += len(echo)
+        for sysid in sorted(set(sysids) - taken):
+            at = [i for i, s in enumerate(sysids) if s == sysid and i not in out]
             vehicle = self.vehicles.get(sysid)
             if vehicle is not None and vehicle.holder.address != address:
                 silent_us = now_us - vehicle.holder.seen_us
@@ -187,30 +232,26 @@ class Session:
             self._see_peer(address, now_us)
         return frames
 
-    def _is_usual(self, sysids: list[int], address: Hashable) -> bool:
-        """True for packets of one vehicle from its own address on this host: nothing more is to be looked at."""
+    def _is_usual(self, sysids: list[int], compids: list[int], address: Hashable) -> bool:
+        """True for packets of one vehicle from its own address: nothing more is to be looked at."""
         vehicle = self.vehicles.get(sysids[0])
         return (
             vehicle is not None
             and vehicle.holder.address == address
             and sysids.count(sysids[0]) == len(sysids)
-            and self._is_local(address)
-            and all(v.our_sysid != sysids[0] for v in self.vehicles.values())
+            and all(
+                v.identity.sysid != sysids[0] or v.identity.compid not in compids
+                for v in self.vehicles.values()
+            )
         )
 
     def _see_peer(self, address: Hashable, now_us: int) -> None:
-        peer = self.peers.get(address)
-        if peer is not None:
-            if peer.seen_us is not None:
-                peer.seen_us = now_us
-        elif len(self.peers) < self._settings.max_peers:
-            self.peers[address] = Peer(now_us)
-            for vehicle in self.vehicles.values():
-                for payload in vehicle.welcome():
-                    self._send(vehicle, payload, address)
-                    self._record(vehicle, payload, now_us)
-        else:
-            self.dropped["more peers than max_peers"] += 1
+        if not self.peers.see(address, now_us):
+            return
+        for vehicle in self.vehicles.values():
+            for payload in vehicle.welcome():
+                self._send(vehicle, payload, address)
+                self._record(vehicle, payload, now_us)
 
     def _new_vehicle(self, sysid: int, address: Hashable, now_us: int) -> Vehicle | None:
         if len(self.vehicles) >= self._settings.max_vehicles:
@@ -219,22 +260,23 @@ class Session:
         estimator = self._make_estimator(sysid)
         vehicle = Vehicle(
             sysid,
-            self._our_sysid(sysid),
+            self._identity(sysid),
             estimator,
             Intake(estimator, self._sources),
             Holder(address, now_us),
             self._streams,
             round(self._settings.vehicle_timeout * 1e6),
+            self._settings.persona,
         )
         self.vehicles[sysid] = vehicle
         for request in self._wanted_origins:
-            if request.target_system in (0, vehicle.our_sysid):
+            if request.target_system in (0, vehicle.identity.sysid):
                 vehicle.set_origin(Origin(request.lat, request.lon, request.alt))
         return vehicle
 
-    def _our_sysid(self, sysid: int) -> int:
-        ours = {vehicle.our_sysid for vehicle in self.vehicles.values()}
-        return sysid_for(sysid, self._settings, self._seen_sysids, ours)
+    def _identity(self, sysid: int) -> Identity:
+        ours = {vehicle.identity.sysid for vehicle in self.vehicles.values()}
+        return identity_for(sysid, self._settings, self._seen_sysids, ours)
 
     def _count_damage(self, damage: Damage) -> None:
         for name in ("bad_crc", "unknown", "truncated", "skipped_bytes"):
@@ -245,49 +287,79 @@ class Session:
     # ---- what goes out -----------------------------------------------------------------------------------------
 
     def _say(self, vehicle: Vehicle, payloads: Iterable[Payload], now_us: int) -> None:
-        """Send payloads about a vehicle to every peer; an autopilot is spared our ODOMETRY.
+        """Send news about a vehicle to every peer."""
+        for payload in payloads:
+            for address in self.peers:
+                self._send(vehicle, payload, address)
+            self._record(vehicle, payload, now_us)
 
-        An autopilot would take it for an external position, or complain about each one.
-        """
-        autopilots = {
+    def _stream(self, vehicle: Vehicle, due: Due, now_us: int) -> None:
+        """Send what is due about a vehicle: the usual to most peers, and to some what they asked for."""
+        telemetry = vehicle.telemetry()
+        spared = self._autopilots()
+        usual = [address for address in self.peers if address not in due.own]
+        recorded = dict.fromkeys((*due.usual, *itertools.chain.from_iterable(due.own.values())))
+        for name in recorded:
+            payload = telemetry[name]
+            if payload is None:
+                continue
+            wanting = [address for address, names in due.own.items() if name in names]
+            for address in (*(usual if name in due.usual else ()), *wanting):
+                if payload.msgid not in _NOT_TO_AUTOPILOTS or address not in spared:
+                    self._send(vehicle, payload, address)
+            self._record(vehicle, payload, now_us)
+
+    def _autopilots(self) -> set[Hashable]:
+        """The addresses of vehicles that have a filter of their own."""
+        return {
             v.holder.address
             for v in self.vehicles.values()
             if v.intake.autopilot in (ARDUPILOT, PX4)
         }
-        for payload in payloads:
-            for address in self.peers:
-                if payload.msgid != _ODOMETRY or address not in autopilots:
-                    self._send(vehicle, payload, address)
-            self._record(vehicle, payload, now_us)
 
     def _record(self, vehicle: Vehicle, payload: Payload, now_us: int) -> None:
         if self._recorder is not None:
-            number = self._recorded.next_sequence(vehicle.our_sysid)
-            self._recorder.write(now_us, frame(payload, vehicle.our_sysid, COMPID, number))
+            who = vehicle.identity
+            self._recorder.write(now_us, frame(payload, *who, self._recorded.next_sequence(who)))
 
     def _send(self, vehicle: Vehicle, payload: Payload, address: Hashable) -> None:
         peer = self.peers.get(address)
         if peer is None:
             return
-        number = peer.next_sequence(vehicle.our_sysid)
-        self._transmit(frame(payload, vehicle.our_sysid, COMPID, number), address)
+        who = vehicle.identity
+        self._transmit(frame(payload, *who, peer.next_sequence(who)), address)
         self.packets_out += 1
 
-    def _request(self, frames: Frames, i: int, address: Hashable, now_us: int) -> None:
-        """Answer a command, or take an origin, if it is meant for one of ours."""
-        msgid = int(frames.msgid[i])
-        sender = (int(frames.sysid[i]), int(frames.compid[i]))
+    # ---- what is asked of us -----------------------------------------------------------------------------------
+
+    def _answer(self, request: Request, frames: Frames, i: int) -> None:
+        """Send the replies to a request, if it is meant for one of ours."""
+        msgid = request.message.get_msgId()
         if msgid == SET_GPS_GLOBAL_ORIGIN:
-            self._origin(frames, i, now_us)
-            return
-        message = decode_packet(frames, i)
-        if message is None or message.target_component not in (0, COMPID):
+            if request.trusted:
+                self._origin(frames, i, request.now_us)
             return
         for vehicle in self.vehicles.values():
-            if message.target_system in (0, vehicle.our_sysid):
-                for payload in answer(message, sender, vehicle):
-                    self._send(vehicle, payload, address)
-                    self._record(vehicle, payload, now_us)
+            if not is_for(request.message, vehicle.identity):
+                continue
+            for reply in BY_MSGID[msgid].answer(request, vehicle):
+                if reply.to_all:
+                    self._say(vehicle, [reply.payload], request.now_us)
+                else:
+                    self._send(vehicle, reply.payload, request.address)
+                    self._record(vehicle, reply.payload, request.now_us)
+
+    def _warn(self, address: Hashable) -> None:
+        """Tell a peer once that it may not change our state."""
+        self.dropped["changes asked for by another host"] += 1
+        peer = self.peers.get(address)
+        if peer is None or peer.warned:
+            return
+        peer.warned = True
+        text = "mavins: changes are taken from its own host only (serve --allow-remote-config)"
+        for vehicle in self.vehicles.values():
+            for payload in statustext(text, _WARNING, _WARNING_ID):
+                self._send(vehicle, payload, address)
 
     def _origin(self, frames: Frames, i: int, now_us: int) -> None:
         request = decode_frame(frames, i)
@@ -300,6 +372,6 @@ class Session:
         ]
         self._wanted_origins.append(request)
         for vehicle in self.vehicles.values():
-            if request.target_system in (0, vehicle.our_sysid):
+            if request.target_system in (0, vehicle.identity.sysid):
                 origin = Origin(request.lat, request.lon, request.alt)
                 self._say(vehicle, vehicle.set_origin(origin), now_us)

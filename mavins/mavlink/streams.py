@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields
-from typing import Final
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
+from typing import Final, Protocol
 
 from mavins.estimator.estimator import Estimator
 from mavins.mavlink.codec import (
@@ -13,6 +13,7 @@ from mavins.mavlink.codec import (
     attitude_from,
     attitude_quaternion,
     estimator_status,
+    fields_of,
     global_position_from,
     gps_global_origin,
     highres_imu_from,
@@ -21,7 +22,8 @@ from mavins.mavlink.codec import (
     odometry,
     sys_status,
 )
-from mavins.mavlink.settings import StreamSettings
+from mavins.mavlink.intake import Intake
+from mavins.nav.earth import TangentFrame
 from mavins.types import FloatArray, Health, NavSolution, Origin
 
 _GYRO: Final = 0x01
@@ -57,6 +59,12 @@ class Home:
         half = 0.5 * solution.yaw
         place = Origin(solution.lat, solution.lon, solution.alt)
         return cls(place, solution.p_n.copy(), (math.cos(half), 0.0, 0.0, math.sin(half)))
+
+    @classmethod
+    def of(cls, place: Origin, frame: TangentFrame) -> Home:
+        """Home is there; how the ground lies is not known."""
+        p_n = frame.from_lla(place.lat, place.lon, place.alt)
+        return cls(place, p_n, (math.nan, math.nan, math.nan, math.nan))
 
     def message(self, t_us: int) -> Payload:
         """HOME_POSITION."""
@@ -104,65 +112,107 @@ def sys_status_of(estimator: Estimator, gnss_seen: bool, silent: bool = False) -
     return sys_status(present, present, health)
 
 
-class Streams:
-    """Says which payloads are due as the vehicle's clock moves on."""
+class Plan:
+    """When each message is due on a clock that moves on, and may start over.
 
-    def __init__(self, settings: StreamSettings) -> None:
-        rates = {f.name: float(getattr(settings, f.name)) for f in fields(settings)}
-        # SYS_STATUS goes by the service's clock: it also tells of a vehicle that has no estimate
-        self.sys_status_s = 1.0 / rates["sys_status"] if rates["sys_status"] > 0.0 else None
-        self._period_us = {
-            name: round(1e6 / rate)
-            for name, rate in rates.items()
-            if rate > 0.0 and name != "sys_status"
-        }
-        self._before_us: int | None = None
+    `period_us` names the messages and their periods in us, in the order in which they are sent.
+    """
 
-    def due(self, estimator: Estimator, home: Home | None) -> Iterator[Payload]:
-        """The payloads that fall due at the estimator's newest instant; none before it runs."""
-        t_us = estimator.t_us
-        if t_us is None or not estimator.running:
-            return
-        before, self._before_us = self._before_us, t_us
-        # the first instant, and the first after a reboot, sends everything
-        restarted = before is None or t_us < before
-        names = [
-            name
-            for name, period in self._period_us.items()
-            if restarted or t_us // period > (before or 0) // period
-        ]
-        if not names:
-            return
-        solution = estimator.solution()
-        if solution is None:
-            return
-        for name in names:
-            payload = _make(name, estimator, solution, home)
-            if payload is not None:
-                yield payload
+    def __init__(self, period_us: Mapping[str, int], before_us: int | None = None) -> None:
+        self.period_us = dict(period_us)
+        self.before_us = before_us
+
+    def due(self, t_us: int) -> list[str]:
+        """The messages that reached a multiple of their period since the last call; all at first and after a reboot."""
+        before, self.before_us = self.before_us, t_us
+        if before is None or t_us < before:
+            return list(self.period_us)
+        return [n for n, period in self.period_us.items() if t_us // period > before // period]
+
+    def copy(self) -> Plan:
+        """The same plan at the same point of time."""
+        return Plan(self.period_us, self.before_us)
+
+    def changed(self, name: str, period_us: int) -> Plan:
+        """The same plan with another period for one message; one that is not positive takes it out."""
+        periods = self.period_us | {name: period_us}
+        return Plan({n: p for n, p in periods.items() if p > 0}, self.before_us)
 
 
-def _make(
-    name: str, estimator: Estimator, solution: NavSolution, home: Home | None
-) -> Payload | None:
-    simple: dict[str, Callable[[NavSolution], Payload]] = {
-        "local_position_ned": local_position_ned,
-        "attitude": attitude_from,
-        "attitude_quaternion": attitude_quaternion,
-        "highres_imu": highres_imu_from,
-    }
-    if name in simple:
-        return simple[name](solution)
-    if name == "odometry":
-        return odometry(solution, ESTIMATOR_TYPE_GPS_INS, quality_of(solution))
-    if name == "estimator_status":
-        return estimator_status_of(estimator, solution)
-    if name == "gps_global_origin" and estimator.frame is not None:
-        return gps_global_origin(estimator.frame.origin, solution.t_us)
-    if home is None:
-        return None
-    if name == "global_position_int":
-        return global_position_from(solution, home.position.alt)
-    if name == "home_position":
-        return home.message(solution.t_us)
-    return None
+def plan_of(rates: Mapping[str, float], names: Collection[str]) -> Plan:
+    """The plan of those of `names` that have a rate in Hz above 0."""
+    return Plan({n: round(1e6 / r) for n, r in rates.items() if r > 0.0 and n in names})
+
+
+class Subject(Protocol):
+    """What messages tell of: one vehicle."""
+
+    estimator: Estimator
+    intake: Intake
+    home: Home | None
+
+    @property
+    def silent(self) -> bool:
+        """True while the vehicle sends no IMU."""
+
+
+class Telemetry:
+    """The messages about a vehicle at one instant, each made once, on demand."""
+
+    def __init__(self, subject: Subject) -> None:
+        self._subject = subject
+        self._made: dict[str, Payload | None] = {}
+        self._solution: NavSolution | None = None
+
+    def __getitem__(self, name: str) -> Payload | None:
+        """The message called `name` (its field in StreamSettings), or None while there is nothing to put into it."""
+        if name not in self._made:
+            self._made[name] = self._make(name)
+        return self._made[name]
+
+    def _make(self, name: str) -> Payload | None:
+        if name in OF_SERVICE:
+            return OF_SERVICE[name](self._subject)
+        if self._solution is None:
+            self._solution = self._subject.estimator.solution()
+        if self._solution is None:
+            return None
+        return OF_ESTIMATE[name](self._solution, self._subject)
+
+
+def _origin(solution: NavSolution, subject: Subject) -> Payload | None:
+    frame = subject.estimator.frame
+    return None if frame is None else gps_global_origin(frame.origin, solution.t_us)
+
+
+def _global_position(solution: NavSolution, subject: Subject) -> Payload | None:
+    home = subject.home
+    return None if home is None else global_position_from(solution, home.position.alt)
+
+
+def _home(solution: NavSolution, subject: Subject) -> Payload | None:
+    return None if subject.home is None else subject.home.message(solution.t_us)
+
+
+def _sys_status(subject: Subject) -> Payload:
+    return sys_status_of(subject.estimator, subject.intake.last_fix is not None, subject.silent)
+
+
+OF_ESTIMATE: Final[dict[str, Callable[[NavSolution, Subject], Payload | None]]] = {
+    "local_position_ned": lambda solution, _: local_position_ned(solution),
+    "attitude": lambda solution, _: attitude_from(solution),
+    "attitude_quaternion": lambda solution, _: attitude_quaternion(solution),
+    "odometry": lambda s, _: odometry(s, ESTIMATOR_TYPE_GPS_INS, quality_of(s)),
+    "global_position_int": _global_position,
+    "highres_imu": lambda solution, _: highres_imu_from(solution),
+    "estimator_status": lambda solution, subject: estimator_status_of(subject.estimator, solution),
+    "gps_global_origin": _origin,
+    "home_position": _home,
+}
+"""What tells of the estimate, due on the vehicle's clock."""
+OF_SERVICE: Final[dict[str, Callable[[Subject], Payload | None]]] = {
+    "sys_status": _sys_status,
+}
+"""What is told without an estimate too, due on the service's clock."""
+MSGIDS: Final = {fields_of(n.upper()).msgid: n for n in (*OF_ESTIMATE, *OF_SERVICE)}
+"""Message id -> name of everything that can be streamed or asked for."""

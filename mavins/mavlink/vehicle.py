@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Iterator
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Final, NamedTuple
 
 from mavins.estimator.estimator import Estimator
 from mavins.mavlink.codec import (
@@ -16,15 +16,19 @@ from mavins.mavlink.codec import (
     statustext,
 )
 from mavins.mavlink.intake import Intake
-from mavins.mavlink.settings import StreamSettings
-from mavins.mavlink.streams import Home, Streams, sys_status_of
+from mavins.mavlink.peers import Identity
+from mavins.mavlink.settings import Persona, StreamSettings
+from mavins.mavlink.streams import OF_ESTIMATE, OF_SERVICE, Home, Plan, Telemetry, plan_of
 from mavins.types import GnssFix, Health, Origin
 
 HEARTBEAT_US: Final = 1_000_000
 REASON_US: Final = 2_000_000
 """A reason that lasts this long is worth a text."""
-MAV_TYPE_GENERIC: Final = 0
-MAV_AUTOPILOT_GENERIC: Final = 0
+MAV_TYPE_AND_AUTOPILOT: Final[dict[Persona, tuple[int, int]]] = {
+    "vehicle": (0, 0),
+    "companion": (18, 8),
+}
+"""GENERIC twice, of which ground stations make a vehicle; ONBOARD_CONTROLLER and INVALID, of which they do not."""
 MAV_STATE_CRITICAL: Final = 5
 _STATE: Final = {
     Health.WAITING: 1,
@@ -56,61 +60,134 @@ class Holder:
     seen_us: int
 
 
+@dataclass(frozen=True, slots=True)
+class Plans:
+    """The messages that are due on the vehicle's clock, and those on the service's."""
+
+    of_estimate: Plan
+    of_service: Plan
+
+    def with_name(self, name: str) -> Plan:
+        """The plan to which a message belongs."""
+        return self.of_estimate if name in OF_ESTIMATE else self.of_service
+
+    def changed(self, name: str, period_us: int) -> Plans:
+        """Plans of one's own with another period for one message."""
+        mine, other = (self.of_estimate, self.of_service)
+        if name in OF_ESTIMATE:
+            return Plans(mine.changed(name, period_us), other.copy())
+        return Plans(mine.copy(), other.changed(name, period_us))
+
+
+class Due(NamedTuple):
+    """What is due: for all peers but those in `own`, which have rates of their own."""
+
+    usual: list[str]
+    own: dict[Hashable, list[str]]
+
+
 @dataclass(slots=True)
 class Vehicle:
-    """One vehicle. `sysid` is its own, `our_sysid` the one we speak under; `lack` says what it has stopped sending."""
+    """One vehicle. `sysid` is its own, `identity` the one we speak under; `lack` says what it has stopped sending.
+
+    Each peer may have rates of its own.
+    """
 
     sysid: int
-    our_sysid: int
+    identity: Identity
     estimator: Estimator
     intake: Intake
     holder: Holder
     stream_settings: StreamSettings
     timeout_us: int = 3_000_000
+    persona: Persona = "vehicle"
     home: Home | None = None
     lack: str = ""
-    streams: Streams = field(init=False)
+    _plans: Plans = field(init=False)
+    _own_plans: dict[Hashable, Plans] = field(default_factory=dict)
     _imu_us: int = field(init=False)
     _imu_rows: int = 0
     _said: tuple[Health, int, int] = (Health.WAITING, 0, 0)
     _fix: GnssFix | None = None
     _heartbeat_us: int | None = None
-    _sys_status_us: int | None = None
     _text_id: int = 0
     _reason: str = ""
     _reason_us: int = 0
     _reason_said: str = ""
 
     def __post_init__(self) -> None:
-        self.streams = Streams(self.stream_settings)
+        self.set_rates(self.stream_settings)
         self._imu_us = self.holder.seen_us
 
     def take(self, frames: Frames) -> Iterator[Payload]:
-        """Feed packets of the vehicle; gives what is due to be said because of them, each as soon as it is made."""
+        """Feed packets of the vehicle; gives the news that they make, for everybody."""
         self.intake.take(frames)
         if self.estimator.imu_rows != self._imu_rows:
             self._imu_rows = self.estimator.imu_rows
             self._imu_us = int(frames.t_us[-1])
-        yield from self._news()
-        yield from self.streams.due(self.estimator, self.home)
+        yield from self.news()
         yield from self._fix_news()
 
     def tick(self, now_us: int) -> list[Payload]:
-        """What is due by our own clock: HEARTBEAT and SYS_STATUS, and a word when the vehicle falls silent."""
+        """News by our own clock: HEARTBEAT, and a word when the vehicle falls silent."""
         due = [*self._silence_news(now_us), *self._reason_news(now_us)]
         if self._heartbeat_us is None or now_us - self._heartbeat_us >= HEARTBEAT_US:
             self._heartbeat_us = now_us
             state = MAV_STATE_CRITICAL if self.lack else _STATE[self.estimator.health]
-            due.append(
-                heartbeat(MAV_TYPE_GENERIC, MAV_AUTOPILOT_GENERIC, base_mode=0, system_status=state)
-            )
-        period = self.streams.sys_status_s
-        if period is not None and (
-            self._sys_status_us is None or now_us - self._sys_status_us >= period * 1e6
-        ):
-            self._sys_status_us = now_us
-            due.append(self.sys_status())
+            kind, autopilot = MAV_TYPE_AND_AUTOPILOT[self.persona]
+            due.append(heartbeat(kind, autopilot, base_mode=0, system_status=state))
         return due
+
+    # ---- streams -----------------------------------------------------------------------------------------------
+
+    def telemetry(self) -> Telemetry:
+        """The messages about the vehicle at this instant."""
+        return Telemetry(self)
+
+    def set_rates(self, settings: StreamSettings) -> None:
+        """The usual rates from now on; peers that asked for rates of their own keep them."""
+        rates = settings.rates(self.persona)
+        self.stream_settings = settings
+        self._plans = Plans(plan_of(rates, OF_ESTIMATE), plan_of(rates, OF_SERVICE))
+
+    def estimate_due(self) -> Due | None:
+        """Which messages are due on the vehicle's clock; None before there is an estimate."""
+        t_us = self.estimator.t_us
+        if t_us is None or not self.estimator.running:
+            return None
+        names = self._plans.of_estimate.due(t_us)
+        if not self._own_plans:
+            return Due(names, {}) if names else None
+        return Due(names, {a: p.of_estimate.due(t_us) for a, p in self._own_plans.items()})
+
+    def service_due(self, now_us: int) -> Due:
+        """Which messages are due on the service's clock."""
+        own = {a: plans.of_service.due(now_us) for a, plans in self._own_plans.items()}
+        return Due(self._plans.of_service.due(now_us), own)
+
+    def set_interval(self, address: Hashable, name: str, interval_us: int | None) -> None:
+        """A peer's own interval for a message: None its usual one, -1 off."""
+        usual = self._plans.with_name(name)
+        wanted = usual.period_us.get(name, -1) if interval_us is None else interval_us
+        plans = self._own_plans.get(address, self._plans)
+        if plans.with_name(name).period_us.get(name, -1) != wanted:
+            self._own_plans[address] = plans.changed(name, wanted)
+
+    def interval_us(self, address: Hashable, name: str) -> int:
+        """How often a peer gets a message; -1: never."""
+        plans = self._own_plans.get(address, self._plans)
+        return plans.with_name(name).period_us.get(name, -1)
+
+    def sent_to(self, address: Hashable) -> tuple[str, ...]:
+        """The messages that a peer gets."""
+        plans = self._own_plans.get(address, self._plans)
+        return (*plans.of_estimate.period_us, *plans.of_service.period_us)
+
+    def forget_peer(self, address: Hashable) -> None:
+        """A peer has gone, and its wishes with it."""
+        self._own_plans.pop(address, None)
+
+    # ---- news --------------------------------------------------------------------------------------------------
 
     def welcome(self) -> list[Payload]:
         """What a new peer is told at once, because it comes seldom otherwise."""
@@ -119,9 +196,10 @@ class Vehicle:
             return []
         return [home.message(t_us)]
 
-    def sys_status(self) -> Payload:
-        """SYS_STATUS as things stand."""
-        return sys_status_of(self.estimator, self.intake.last_fix is not None, bool(self.lack))
+    @property
+    def silent(self) -> bool:
+        """True while the vehicle sends no IMU."""
+        return bool(self.lack)
 
     def silence(self, now_us: int) -> str:
         """What the vehicle withholds for how long, for people; empty while its IMU samples come."""
@@ -154,9 +232,9 @@ class Vehicle:
         """Put the origin of n there; returns the announcement."""
         self.estimator.set_origin(origin)
         self.home = None
-        return [gps_global_origin(origin, self.estimator.t_us or 0), *self._news()]
+        return [gps_global_origin(origin, self.estimator.t_us or 0), *self.news()]
 
-    def _news(self) -> list[Payload]:
+    def news(self) -> list[Payload]:
         """A text for each change of health and each reset, and home once there is an estimate."""
         estimator = self.estimator
         if self.home is None and estimator.running:

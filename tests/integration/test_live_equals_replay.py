@@ -160,8 +160,8 @@ def test_origins_asked_for_on_the_way(rig: Any, fly: Any) -> None:
     whole = b"".join([*data[:3], origin_request(0, 47.37), *data[3:]])
     stream[at : at + 6] = [(batch[0][0], VEHICLE, whole)]
     rig.run(requests + stream + other)
-    assert rig.vehicle(1).our_sysid == 100
-    assert rig.vehicle(9).our_sysid == 108
+    assert rig.vehicle(1).identity.sysid == 100
+    assert rig.vehicle(9).identity.sysid == 108
     same(rig.folder(), rig.replayed(1), rows=20)
     same(rig.folder(9), rig.replayed(9), rows=20)
     origins = [m.latitude for m in rig.messages("GPS_GLOBAL_ORIGIN", VEHICLE, 100)]

@@ -157,7 +157,7 @@ class Harness:
 def bounded(session: Session, config: Config) -> None:
     assert len(session.peers) <= config.mavlink.max_peers
     assert len(session.vehicles) <= config.mavlink.max_vehicles
-    ours = [vehicle.our_sysid for vehicle in session.vehicles.values()]
+    ours = [vehicle.identity.sysid for vehicle in session.vehicles.values()]
     assert len(set(ours)) == len(ours)
 
 
@@ -214,4 +214,4 @@ def test_every_sysid_taken_still_leaves_one_for_us() -> None:
     for k in range(1, 256):
         harness.receive(frame(heartbeat(6, 8), k, 190, 0), ADDRESSES[1], 1000)
     harness.receive(good(1_000_000, sysid=7)[0], ADDRESSES[0], 1000)
-    assert harness.session.vehicles[7].our_sysid == 1 + (7 + 98) % 250
+    assert harness.session.vehicles[7].identity.sysid == 1 + (7 + 98) % 250

@@ -25,7 +25,7 @@ from mavins.mavlink.codec import (
     hil_state_quaternion,
 )
 from mavins.mavlink.settings import SessionSettings
-from mavins.replay import ReplayOptions, grid_us, our_sysid, replay, vehicle_of
+from mavins.replay import ReplayOptions, grid_us, our_identity, replay, vehicle_of
 from mavins.types import GnssFix, ImuSample, TruthSample
 
 # a flight through the estimator takes minutes where nothing is compiled
@@ -105,10 +105,10 @@ def test_our_sysid_is_found_again(tmp_path: Path) -> None:
         (3, frame(imu(3), 2, 1, 0)),
     ]
     frames = read_tlog(log_of(tmp_path / "a.tlog", packets))
-    assert our_sysid(frames, 1, SessionSettings()) == 101
-    assert our_sysid(frames, 2, SessionSettings()) == 102
-    assert our_sysid(frames, 1, SessionSettings(sysid=50)) == 50
-    assert our_sysid(frames, 77, SessionSettings()) == 0
+    assert our_identity(frames, 1, SessionSettings()) == (101, 1)
+    assert our_identity(frames, 2, SessionSettings()) == (102, 1)
+    assert our_identity(frames, 1, SessionSettings(sysid=50)) == (50, 1)
+    assert our_identity(frames, 77, SessionSettings()) is None
 
 
 @pytest.mark.jit

@@ -46,6 +46,7 @@ _GPS_GLOBAL_ORIGIN: Final = fields_of("GPS_GLOBAL_ORIGIN")
 _HOME_POSITION: Final = fields_of("HOME_POSITION")
 _STATUSTEXT: Final = fields_of("STATUSTEXT")
 _COMMAND_ACK: Final = fields_of("COMMAND_ACK")
+_MESSAGE_INTERVAL: Final = fields_of("MESSAGE_INTERVAL")
 _PARAM_VALUE: Final = fields_of("PARAM_VALUE")
 _AUTOPILOT_VERSION: Final = fields_of("AUTOPILOT_VERSION")
 
@@ -335,6 +336,11 @@ def command_ack(
         target_system=target_system,
         target_component=target_component,
     )
+
+
+def message_interval(message_id: int, interval_us: int) -> Payload:
+    """MESSAGE_INTERVAL: -1 where a message is off, 0 where it is not to be had."""
+    return payload(_MESSAGE_INTERVAL, message_id=message_id, interval_us=interval_us)
 
 
 def param_value(name: str, value: float, index: int, count: int) -> Payload:

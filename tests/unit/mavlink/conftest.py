@@ -66,6 +66,8 @@ class FakeEstimator:
         self.dropped: Counter[str] = Counter()
         self.origins: list[Origin] = []
         self.feeds = 0
+        self.calibrations = 0
+        self.may_calibrate = True
 
     @property
     def running(self) -> bool:
@@ -105,6 +107,10 @@ class FakeEstimator:
 
     def feed_heading(self, fix: Any) -> None:
         self.feeds += 1
+
+    def calibrate(self, reason: str) -> bool:
+        self.calibrations += self.may_calibrate
+        return self.may_calibrate
 
     def restart(self, reason: str) -> None:
         self.reason = reason

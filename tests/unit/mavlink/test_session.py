@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
@@ -10,7 +11,7 @@ import pytest
 from pymavlink.dialects.v20 import all as dialect
 
 from mavins.mavlink.codec import frame, heartbeat, highres_imu
-from mavins.mavlink.session import Session, sysid_for
+from mavins.mavlink.session import Session, identity_for
 from mavins.mavlink.settings import SessionSettings, StreamSettings
 from mavins.mavlink.sources import SourceSettings
 from mavins.types import ImuSample
@@ -110,13 +111,15 @@ def origin(target: int) -> bytes:
     ],
 )
 def test_our_sysid(sysid: int, seen: set[int], ours: set[int], expected: int) -> None:
-    assert sysid_for(sysid, SessionSettings(), seen, ours) == expected
+    assert identity_for(sysid, SessionSettings(), seen, ours) == (expected, 1)
 
 
-def test_our_sysid_as_configured() -> None:
+def test_our_ids_as_configured() -> None:
     settings = SessionSettings(sysid=42)
-    assert sysid_for(1, settings, {42}, set()) == 42
-    assert sysid_for(2, settings, {1}, {42}) == 101
+    assert identity_for(1, settings, {42}, set()) == (42, 1)
+    assert identity_for(2, settings, {1}, {42}) == (101, 1)
+    assert identity_for(7, SessionSettings(persona="companion"), {7}, set()) == (7, 191)
+    assert identity_for(7, SessionSettings(persona="companion", compid=197), {7}, {7}) == (7, 197)
 
 
 def test_only_an_imu_makes_a_vehicle(rig: Rig) -> None:
@@ -124,7 +127,7 @@ def test_only_an_imu_makes_a_vehicle(rig: Rig) -> None:
     assert rig.session.vehicles == {}
     rig.put(imu())
     assert set(rig.session.vehicles) == {1}
-    assert rig.session.vehicles[1].our_sysid == 100
+    assert rig.session.vehicles[1].identity == (100, 1)
     assert rig.estimators[1].imu_rows == 1
 
 
@@ -186,13 +189,96 @@ def test_an_origin_is_taken_from_this_host_only(rig: Rig) -> None:
     rig.put(imu(), HERE)
     rig.put(origin(100) + beat(), AWAY)
     assert rig.estimators[1].origins == []
-    assert rig.session.dropped["SET_GPS_GLOBAL_ORIGIN from another host"] == 1
+    assert rig.session.dropped["changes asked for by another host"] == 1
     assert AWAY in rig.session.peers  # the rest of the datagram counts
     assert not any(data == origin(100) for _, data in rig.tape.packets)
     rig.put(origin(100), THERE)
     rig.put(origin(0), THERE)
     rig.put(origin(1), THERE)
     assert len(rig.estimators[1].origins) == 2
+
+
+def ordering(number: int, *p: float, target: int = 100) -> bytes:
+    params = (*p, *[0.0] * (7 - len(p)))
+    return packed(dialect.MAVLink_command_long_message(target, 1, number, 0, *params))
+
+
+CHANGES = (
+    ordering(611, 0, 0, 0, 0, 47.0, 8.0, 400.0),
+    ordering(179, 1),
+    ordering(241, 1),
+    ordering(246, 1),
+    ordering(245, 1),
+)
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_changes_are_denied_to_other_hosts_with_one_text(rig: Rig, change: bytes) -> None:
+    rig.put(imu(), HERE)
+    first, second = rig.put(change, AWAY), rig.put(change, AWAY)
+    assert first[0][0].get_type() == "COMMAND_ACK"
+    assert first[0][0].result == second[0][0].result == 2
+    assert {m.get_type() for m, _ in first[1:]} == {"STATUSTEXT"}
+    assert len(second) == 1
+    assert {to for _, to in first + second} == {AWAY}
+    assert not any(data == change for _, data in rig.tape.packets)
+    # reads and rates are anybody's
+    assert rig.put(ordering(511, 30, 100_000), AWAY)[0][0].result == 0
+
+
+def test_remote_changes_are_taken_where_they_are_allowed(make_estimator: Any) -> None:
+    rig = Rig(make_estimator, allow_remote_config=True)
+    rig.put(imu(), HERE)
+    assert rig.put(CHANGES[0], AWAY)[0][0].result == 0
+    assert len(rig.estimators[1].origins) == 1
+    assert any(data == CHANGES[0] for _, data in rig.tape.packets)
+
+
+def test_each_peer_has_its_own_rates(rig: Rig) -> None:
+    rig.put(imu(), HERE)
+    rig.put(beat(), THERE)
+    rig.estimators[1].start(1_000_000)
+    rig.put(ordering(511, 30, 500_000), THERE)  # ATTITUDE twice a second
+    rig.put(ordering(511, 32, -1), THERE)  # no LOCAL_POSITION_NED
+    for t_us in (1_988_000, 1_992_000, 1_996_000, 2_000_000):
+        rig.put(imu(t_us=t_us), HERE)
+    counts: Counter[tuple[str, str]] = Counter()
+    for k in range(1, 501):
+        told = rig.put(imu(t_us=2_000_000 + k * 4000), HERE)
+        counts.update((message.get_type(), to) for message, to in told)
+    assert counts["ATTITUDE", THERE] == 4
+    assert counts["LOCAL_POSITION_NED", THERE] == 0
+    assert counts["ATTITUDE", HERE] == counts["LOCAL_POSITION_NED", HERE] == 100
+    assert counts["ODOMETRY", HERE] == counts["ODOMETRY", THERE] == 50
+    (_, (answer, to)) = rig.put(ordering(510, 30), THERE)
+    assert (answer.get_type(), answer.interval_us, to) == ("MESSAGE_INTERVAL", 500_000, THERE)
+    assert rig.put(ordering(510, 30), HERE)[1][0].interval_us == 20_000
+
+
+def test_a_peer_that_has_gone_has_no_wishes_left(rig: Rig) -> None:
+    rig.put(imu(), HERE)
+    rig.put(ordering(511, 30, -1), THERE)
+    rig.tick(31_000_000)
+    rig.put(beat(), THERE)
+    assert rig.put(ordering(510, 30), THERE)[1][0].interval_us == 20_000
+
+
+def test_a_companion_shares_the_sysid_and_drops_its_own_echo(make_estimator: Any) -> None:
+    rig = Rig(make_estimator, persona="companion")
+    rig.put(imu(), HERE)
+    rig.put(beat(), THERE)
+    (heart, _) = rig.tick(1_000_000)[0]
+    assert (heart.get_srcSystem(), heart.get_srcComponent()) == (1, 191)
+    assert (heart.type, heart.autopilot) == (18, 8)
+    rig.put(frame(heartbeat(18, 8), 1, 191, 0), THERE)
+    assert rig.session.dropped["our own packets"] == 1
+    rig.estimators[1].start(1_000_000)
+    told = {m.get_type() for m, _ in rig.put(imu(t_us=2_000_000), HERE)}
+    assert "ODOMETRY" in told
+    assert not told & {"ATTITUDE", "ATTITUDE_QUATERNION", "LOCAL_POSITION_NED"}
+    # a command to the autopilot itself is not ours, one to us is
+    assert rig.put(asking(1, 1), THERE) == []
+    assert rig.put(asking(1, 191), THERE)[0][0].get_type() == "COMMAND_ACK"
 
 
 def test_an_origin_waits_for_its_vehicle(rig: Rig) -> None:
@@ -232,7 +318,7 @@ def test_damage_is_counted_and_nothing_of_it_recorded(rig: Rig) -> None:
     assert rig.session.dropped["truncated"] == 1
     assert rig.session.dropped["skipped bytes"] == len(good) + 20 + 12
     assert rig.tape.packets == []
-    assert rig.session.peers == {}
+    assert len(rig.session.peers) == 0
 
 
 def test_packets_go_out_at_once_where_there_is_a_way(make_estimator: Any) -> None:

@@ -12,8 +12,18 @@ import pytest
 from pymavlink.dialects.v20 import all as dialect
 
 from mavins.mavlink.codec import frame
-from mavins.mavlink.settings import StreamSettings
-from mavins.mavlink.streams import Home, Streams, estimator_status_of, quality_of, sys_status_of
+from mavins.mavlink.settings import AS_VEHICLE, StreamSettings
+from mavins.mavlink.streams import (
+    OF_ESTIMATE,
+    OF_SERVICE,
+    Home,
+    Plan,
+    Telemetry,
+    estimator_status_of,
+    plan_of,
+    quality_of,
+    sys_status_of,
+)
 from mavins.types import Health
 
 # a flight through the estimator takes minutes where nothing is compiled
@@ -24,8 +34,14 @@ def message(payload: Any) -> Any:
     return dialect.MAVLink(None).decode(bytearray(frame(payload, 100, 1, 0)))
 
 
-def kinds(payloads: Any) -> list[str]:
-    return [message(payload).get_type() for payload in payloads]
+class OneVehicle:
+    """As much of a vehicle as messages tell of."""
+
+    def __init__(self, estimator: Any, home: Home | None) -> None:
+        self.estimator = estimator
+        self.home = home
+        self.intake: Any = SimpleNamespace(last_fix=None)
+        self.silent = False
 
 
 @pytest.fixture
@@ -33,62 +49,73 @@ def home(solution: Any) -> Home:
     return Home.at(solution(1_000_000))
 
 
-def test_nothing_before_there_is_an_estimate(estimator: Any, home: Home) -> None:
-    streams = Streams(StreamSettings())
-    assert list(streams.due(estimator, home)) == []
-    estimator.t_us = 1_000_000
-    estimator.health = Health.ALIGNING
-    assert list(streams.due(estimator, home)) == []
+@pytest.fixture
+def usual() -> Plan:
+    return plan_of(StreamSettings().rates("vehicle"), OF_ESTIMATE)
 
 
-def test_each_at_its_rate_on_the_vehicles_clock(estimator: Any, home: Home) -> None:
-    settings = StreamSettings()
-    streams = Streams(settings)
-    estimator.start(7_000_000)
-    list(streams.due(estimator, home))
+def test_each_at_its_rate(usual: Plan) -> None:
+    usual.due(7_000_000)
     seen: Counter[str] = Counter()
     for t_us in range(7_004_000, 17_000_001, 4_000):
-        estimator.t_us = t_us
-        seen.update(kinds(streams.due(estimator, home)))
-    for name, rate in dataclasses.asdict(settings).items():
-        assert seen[name.upper()] == (0 if name == "sys_status" else round(rate * 10.0)), name
+        seen.update(usual.due(t_us))
+    for name in OF_ESTIMATE:
+        assert seen[name] == round(AS_VEHICLE.get(name, 0.0) * 10.0), name
 
 
-def test_the_first_instant_tells_all_and_so_does_the_first_after_a_reboot(
-    estimator: Any, home: Home
-) -> None:
-    streams = Streams(StreamSettings())
-    estimator.start(7_001_000)
-    first = kinds(streams.due(estimator, home))
-    assert len(first) == len(set(first)) == 9
-    assert first[0] == "LOCAL_POSITION_NED"
-    estimator.t_us = 7_002_000
-    assert kinds(streams.due(estimator, home)) == []
-    estimator.t_us = 300_000
-    assert kinds(streams.due(estimator, home)) == first
+def test_the_first_instant_tells_all_and_so_does_the_first_after_a_reboot(usual: Plan) -> None:
+    first = usual.due(7_001_000)
+    assert first[0] == "local_position_ned"
+    assert usual.due(7_002_000) == []
+    assert usual.due(300_000) == first
 
 
-def test_rates_of_zero_turn_a_message_off(estimator: Any, home: Home) -> None:
+def test_rates_of_zero_turn_a_message_off() -> None:
     names = [f.name for f in dataclasses.fields(StreamSettings)]
-    streams = Streams(StreamSettings(**dict.fromkeys(names, 0.0)))
-    estimator.start(7_000_000)
-    assert list(streams.due(estimator, home)) == []
-    assert streams.sys_status_s is None
+    rates = StreamSettings(**dict.fromkeys(names, 0.0)).rates("vehicle")
+    assert plan_of(rates, OF_ESTIMATE).due(7_000_000) == []
 
 
-def test_a_late_sample_does_not_repeat_what_was_sent(estimator: Any, home: Home) -> None:
-    streams = Streams(StreamSettings())
+def test_a_late_sample_does_not_repeat_what_was_sent(usual: Plan) -> None:
+    usual.due(7_000_000)
+    assert usual.due(7_000_000) == []
+
+
+def test_a_plan_with_another_period_leaves_the_first_alone(usual: Plan) -> None:
+    usual.due(7_000_000)
+    other = usual.changed("attitude", 500_000).changed("odometry", -1)
+    assert "odometry" not in other.period_us
+    assert other.due(7_400_000).count("attitude") == 0
+    assert "attitude" in other.due(7_500_000)
+    assert usual.period_us["attitude"] == 20_000
+
+
+def test_every_message_is_made_and_named_as_it_is_called(estimator: Any, home: Home) -> None:
     estimator.start(7_000_000)
-    list(streams.due(estimator, home))
-    assert list(streams.due(estimator, home)) == []
+    telemetry = Telemetry(OneVehicle(estimator, home))
+    for name in (*OF_ESTIMATE, *OF_SERVICE):
+        payload = telemetry[name]
+        assert payload is not None, name
+        assert message(payload).get_type() == name.upper()
+        assert telemetry[name] is payload
+
+
+def test_nothing_of_an_estimate_before_there_is_one(estimator: Any, home: Home) -> None:
+    telemetry = Telemetry(OneVehicle(estimator, home))
+    assert all(telemetry[name] is None for name in OF_ESTIMATE)
+    assert telemetry["sys_status"] is not None
 
 
 def test_without_a_home_what_counts_from_it_waits(estimator: Any) -> None:
     estimator.start(7_000_000)
-    sent = kinds(Streams(StreamSettings()).due(estimator, None))
-    assert "HOME_POSITION" not in sent
-    assert "GLOBAL_POSITION_INT" not in sent
-    assert "ODOMETRY" in sent
+    telemetry = Telemetry(OneVehicle(estimator, None))
+    assert telemetry["home_position"] is telemetry["global_position_int"] is None
+    assert telemetry["odometry"] is not None
+
+
+def test_every_rate_belongs_to_a_message() -> None:
+    named = {f.name for f in dataclasses.fields(StreamSettings)}
+    assert named == {*OF_ESTIMATE, *OF_SERVICE}
 
 
 def test_home_has_a_heading_and_no_nan(home: Home) -> None:
