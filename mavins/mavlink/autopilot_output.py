@@ -48,14 +48,12 @@ class AutopilotOutput:
         self,
         estimator: Estimator,
         autopilot: int | None,
-        *,
-        offset_us: int = 0,
         satellites: int | None = None,
     ) -> Iterator[Payload]:
         """What falls due at the estimator's newest instant, for the vehicle's own address alone.
 
-        `offset_us` is the clock that our TIMESYNC answers give the autopilot minus the vehicle's own: PX4 takes it
-        off the stamp again. `satellites` is what the vehicle's receiver reported last.
+        Stamps are on the clock of our reception stamps, which is the one that TIMESYNC answers tell: PX4 takes the
+        difference off again. `satellites` is what the vehicle's receiver reported last.
         """
         t_us = estimator.t_us
         if (
@@ -71,7 +69,7 @@ class AutopilotOutput:
             return
         solution = estimator.solution()
         if solution is not None:
-            yield self._make(solution, autopilot, t_us + offset_us, satellites)
+            yield self._make(solution, autopilot, t_us + self._clock.lag_us, satellites)
 
     def _make(
         self, solution: NavSolution, autopilot: int, stamp_us: int, satellites: int | None

@@ -145,6 +145,11 @@ class Clock:
         if abs(seen_us - newest) <= MAX_APART_US:
             self._unix_minus_boot = unix_us - boot_us
 
+    @property
+    def lag_us(self) -> int:
+        """Our clock minus the vehicle's: the smallest reception minus stamp of the IMU of late; 0 before the first."""
+        return min(int(self._state[LAG]), int(self._state[LAG_BEFORE]))
+
     def unix_of(self, t_us: int) -> int | None:
         """Microseconds since 1970 at a time on this clock, or None while the vehicle has not told."""
         if is_unix(t_us):
@@ -164,7 +169,7 @@ class Clock:
         if is_unix(stamp_us) == is_unix(newest):
             t_us = _unwrapped(stamp_us, newest) if wraps else stamp_us
         elif offset is None:
-            t_us = received_us - min(int(self._state[LAG]), int(self._state[LAG_BEFORE]))
+            t_us = received_us - self.lag_us
         elif is_unix(stamp_us):
             t_us = stamp_us - offset
         else:

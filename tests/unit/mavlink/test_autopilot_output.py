@@ -22,9 +22,9 @@ def read(payload: Payload) -> Any:
     return dialect.MAVLink(None).decode(bytearray(frame(payload, 1, 191, 0)))
 
 
-def clock_at(t_us: int, unix_us: int | None = None) -> Clock:
+def clock_at(t_us: int, unix_us: int | None = None, lag_us: int = 0) -> Clock:
     clock = Clock()
-    clock.map_imu(np.array([t_us]), np.array([t_us]))
+    clock.map_imu(np.array([t_us]), np.array([t_us + lag_us]))
     clock.system_time(unix_us, t_us)
     return clock
 
@@ -46,14 +46,15 @@ def test_odometry_in_the_frame_that_the_autopilot_reads(
 ) -> None:
     estimator = make_estimator()
     estimator.start(1_000_000)
-    (payload,) = output(output="odometry").due(estimator, autopilot, offset_us=7_000_000)
+    clock = clock_at(1_000_000, lag_us=NEW_YEAR_2020_US)
+    (payload,) = output(clock, output="odometry").due(estimator, autopilot)
     message = read(payload)
     assert (message.get_type(), message.frame_id, message.estimator_type) == (
         "ODOMETRY",
         frame_id,
         3,
     )
-    assert message.time_usec == 8_000_000
+    assert message.time_usec == NEW_YEAR_2020_US + 1_000_000, "what TIMESYNC tells"
 
 
 def test_the_rate_is_kept_on_the_vehicles_clock(make_estimator: Callable[[], Any]) -> None:
