@@ -17,6 +17,7 @@ from typing import Annotated, Any, Literal
 from mavins import __version__, typed_settings, yaml_text
 from mavins.documented import Doc
 from mavins.estimator.settings import Settings
+from mavins.mavlink.autopilot_settings import AutopilotOutputSettings, MonitorSettings
 from mavins.mavlink.limits import LimitSettings
 from mavins.mavlink.settings import SessionSettings, StreamSettings
 from mavins.mavlink.signing import SigningSettings
@@ -38,6 +39,8 @@ class Config(Settings):
     mavlink: SessionSettings = SessionSettings()
     limits: LimitSettings = LimitSettings()
     signing: SigningSettings = SigningSettings()
+    autopilot_output: AutopilotOutputSettings = AutopilotOutputSettings()
+    monitor: MonitorSettings = MonitorSettings()
 
 
 def load(path: Path | str | None = None, overrides: Mapping[str, Any] | None = None) -> Config:

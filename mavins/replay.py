@@ -322,6 +322,7 @@ def _change(estimator: Feed, store: ConfigStore, frames: Frames, who: Identity) 
 
 def summarize(estimator: Estimator, intake: Intake) -> dict[str, Any]:
     """What a run saw and decided: messages, drops, aidings with their innovation statistics, health."""
+    monitor = None if intake.watcher is None else intake.watcher.summary()
     return {
         "imu": None
         if intake.imu.chosen is None
@@ -331,6 +332,7 @@ def summarize(estimator: Estimator, intake: Intake) -> dict[str, Any]:
         "dropped": {k: v for k, v in (intake.dropped + estimator.dropped).items() if v},
         "reboots": intake.reboots,
         **outcome_of(estimator),
+        **({} if monitor is None else {"monitor": monitor}),
     }
 
 

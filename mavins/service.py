@@ -106,6 +106,8 @@ class Service:
             None if signing is None else self._verify,
             None if signing is None else self._seal,
             self._make_store,
+            config.monitor,
+            config.autopilot_output,
         )
         for address in gcs:
             self.session.add_peer(address)
@@ -287,6 +289,7 @@ class Service:
             aidings={name: aiding_status(s) for name, s in estimator.statistics.items()},
             reset_counter=estimator.reset_counter,
             error=watch.truth.last if solution is not None else None,
+            monitor=None if vehicle.monitor is None else vehicle.monitor.status(),
         )
 
     def close(self) -> None:

@@ -72,8 +72,30 @@ class TruthError:
 
 
 @dataclass(frozen=True, slots=True)
+class MonitorStatus:
+    """How far a quantity of the autopilot's own estimate is from ours, in `unit` (m, m/s, rad).
+
+    `worst_ratio` is the largest difference over limit so far; `beyond` is for how long (s) the limit has been exceeded.
+    """
+
+    difference: float
+    limit: float
+    unit: str
+    worst_ratio: float
+    beyond: float = 0.0
+    warning: bool = False
+
+    @property
+    def ratio(self) -> float:
+        """Difference over limit."""
+        return self.difference / self.limit
+
+
+@dataclass(frozen=True, slots=True)
 class VehicleStatus:
-    """One vehicle: `health` is a `Health` name in lower case, `rates` are Hz by sensor."""
+    """One vehicle: `health` is a `Health` name in lower case, `rates` are Hz by sensor; `monitor` compares the
+    autopilot's own estimate by quantity, and is None where that is not done.
+    """
 
     sysid: int
     health: str
@@ -84,6 +106,7 @@ class VehicleStatus:
     aidings: Mapping[str, AidingStatus] = field(default_factory=dict)
     reset_counter: int = 0
     error: TruthError | None = None
+    monitor: Mapping[str, MonitorStatus] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,11 +138,15 @@ def from_json(line: str) -> StatusSnapshot:
 
 def _vehicle(data: dict[str, Any]) -> VehicleStatus:
     estimate, error, aidings = data.pop("estimate"), data.pop("error"), data.pop("aidings")
+    monitor = data.pop("monitor", None)
     return VehicleStatus(
         **data,
         estimate=EstimateStatus(**_numbers(_known(estimate))) if estimate else None,
         error=TruthError(**_numbers(error)) if error else None,
         aidings={name: AidingStatus(**aiding) for name, aiding in aidings.items()},
+        monitor={name: MonitorStatus(**item) for name, item in monitor.items()}
+        if monitor
+        else None,
     )
 
 

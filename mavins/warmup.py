@@ -15,11 +15,13 @@ from mavins.aiding import gnss_position
 from mavins.config import Config
 from mavins.estimator.estimator import Estimator, Outputs
 from mavins.estimator.solution import WIDTH, describe
+from mavins.estimator.vibration import Vibration
 from mavins.evaluation.errors import errors_against
 from mavins.evaluation.live import LiveTruth
 from mavins.filters import Filter, FilterState, ImuNoise, RowBlock, make
 from mavins.mavlink.codec import (
     attitude,
+    attitude_quaternion_cov,
     frame,
     global_position_int,
     gps_raw_int,
@@ -27,12 +29,15 @@ from mavins.mavlink.codec import (
     highres_imu,
     hil_state_quaternion,
     incomplete_at,
+    local_position_ned_cov,
     scan_tlog,
 )
 from mavins.mavlink.session import Session
+from mavins.mavlink.track import Instant, tilt_and_yaw
 from mavins.nav.earth import TangentFrame
 from mavins.nav.kernels import CACHE, compiles, is_cached, mark_cached
 from mavins.nav.layout import X_SIZE
+from mavins.nav.so3 import euler_to_quat
 from mavins.table_text import csv_lines
 from mavins.types import GnssFix, ImuSample, Origin, TruthSample
 
@@ -149,9 +154,23 @@ def _fly(filter_name: str, report: Report) -> None:
         if now != stage:
             stage = now
             report(f"  {stage}")
+    _tell(estimator)
     estimator.finish()
     scan_tlog(b"")
     incomplete_at(b"")
+
+
+def _tell(estimator: Estimator) -> None:
+    """What is told on request, and of an autopilot that has an estimate of its own."""
+    solution, frame_n = estimator.solution(), estimator.frame
+    assert solution is not None
+    assert frame_n is not None
+    local_position_ned_cov(solution)
+    attitude_quaternion_cov(solution)
+    Vibration().look(estimator)
+    now = Instant.of(solution, frame_n, estimator.yaw_from_motion())
+    between = now.between(now.moved(now.t_us + 2), now.t_us + 1)
+    tilt_and_yaw(euler_to_quat(0.0, 0.0, 0.3), between.q_lb)
 
 
 def _results(filter_name: str, report: Report) -> None:

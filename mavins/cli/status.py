@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Final, Protocol, TextIO
 from mavins.status import (
     AidingStatus,
     EstimateStatus,
+    MonitorStatus,
     StatusSnapshot,
     TruthError,
     Vector,
@@ -161,7 +162,26 @@ def _plain_vehicle(vehicle: VehicleStatus) -> str:
     parts.append(f"rejected {rejected_total(vehicle)}")
     if vehicle.error is not None:
         parts.append(f"error {_error(vehicle)}")
+    if vehicle.monitor:
+        parts.append(_autopilot(vehicle.monitor))
     return " | ".join(parts)
+
+
+def _autopilot(monitor: Mapping[str, MonitorStatus]) -> str:
+    """What the autopilot's estimate differs in, or what it is closest to differing in."""
+    warned = {name: item for name, item in monitor.items() if item.warning}
+    if not warned:
+        name, item = max(monitor.items(), key=lambda pair: pair[1].ratio)
+        return f"autopilot agrees ({name} {_apart(item)})"
+    return "AUTOPILOT DIFFERS: " + ", ".join(
+        f"{name} {_apart(item)} for {item.beyond:.0f} s" for name, item in warned.items()
+    )
+
+
+def _apart(item: MonitorStatus) -> str:
+    """A difference and its limit, angles in degrees."""
+    scale, unit = (math.degrees(1.0), "deg") if item.unit == "rad" else (1.0, item.unit)
+    return f"{item.difference * scale:.1f} of {item.limit * scale:.1f} {unit}"
 
 
 def rejected_total(vehicle: VehicleStatus) -> int:
@@ -252,6 +272,8 @@ def _panel_vehicle(vehicle: VehicleStatus) -> Text:
         _append_estimate(text, vehicle.estimate, vehicle.error)
     if vehicle.aidings:
         _append_aidings(text, vehicle.aidings)
+    if vehicle.monitor:
+        _append_monitor(text, vehicle.monitor)
     rates = "   ".join(f"{name} {rate:.0f} Hz" for name, rate in vehicle.rates.items())
     return text.append(f"\n{rates}   resets {vehicle.reset_counter}", style="dim")
 
@@ -300,6 +322,15 @@ def _append_aidings(text: Text, aidings: Mapping[str, AidingStatus]) -> None:
         )
         line = f"{name:15} {aiding.fused:7} {nis:>7} {expected:>9} {ratio:>12}  "
         text.append(line + (_counts(aiding.rejected) or "0") + "\n")
+
+
+def _append_monitor(text: Text, monitor: Mapping[str, MonitorStatus]) -> None:
+    title = f"{'autopilot':15} {'differs by':>20} {'ratio':>7} {'worst':>7}"
+    text.append(f"\n{title}\n", style="dim")
+    for name, item in monitor.items():
+        line = f"{name:15} {_apart(item):>20} {item.ratio:7.2f} {item.worst_ratio:7.2f}"
+        style = "bold red" if item.warning else ""
+        text.append(f"{line}{f'  for {item.beyond:.0f} s' if item.warning else ''}\n", style=style)
 
 
 def to_svg(snapshot: StatusSnapshot, width: int = 80) -> str:

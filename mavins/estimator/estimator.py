@@ -12,6 +12,8 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
+import numpy as np
+
 from mavins.aiding import Measurement, zero_rate, zero_velocity
 from mavins.aiding.detectors import gnss_speed
 from mavins.estimator.aligner import Aligner, Candidate
@@ -113,6 +115,29 @@ class Estimator:
     def t_us(self) -> int | None:
         """The newest IMU stamp, or None."""
         return self._line.buffer.newest_us if len(self._line.buffer) else None
+
+    @property
+    def standing(self) -> bool | None:
+        """True until the first motion, False at a speed, else None: a hover looks as a landed vehicle does."""
+        standing, state = self._aligner.standing, self._line.state
+        if standing.standing:
+            return True
+        if state is None or not standing.moved:
+            return None
+        limit = self.settings.zero_velocity.speed_limit
+        return False if float(np.linalg.norm(state.x[3:6])) > limit else None
+
+    def yaw_from_motion(self) -> tuple[float, float] | None:
+        """(yaw in l, sigma) in rad that IMU and GNSS velocities show without any heading; None where they do not."""
+        buffer = self._line.buffer
+        seen = self._aligner.motion.at(buffer, buffer.newest_us) if len(buffer) else None
+        return (seen.yaw, seen.sigma) if seen is not None and seen.trusted else None
+
+    def imu_after(self, t_us: int) -> tuple[IntArray, FloatArray]:
+        """The IMU rows of the last second that are newer than t_us: stamps (N,) and [gyro_b, accel_b] (N, 6), views."""
+        buffer = self._line.buffer
+        first = buffer.row_after(t_us)
+        return buffer.times(first, buffer.end), buffer.readings(first, buffer.end)
 
     def solution(self) -> NavSolution | None:
         """The estimate at the newest IMU stamp, or None before `running`."""

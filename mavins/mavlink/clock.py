@@ -143,6 +143,17 @@ class Clock:
         if abs(seen_us - newest) <= MAX_APART_US:
             self._unix_minus_boot = unix_us - boot_us
 
+    @property
+    def lag_us(self) -> int:
+        """Our clock minus the vehicle's: the smallest reception minus stamp of the IMU of late; 0 before the first."""
+        return min(int(self._state[LAG]), int(self._state[LAG_BEFORE]))
+
+    def unix_of(self, t_us: int) -> int | None:
+        """Microseconds since 1970 at a time on this clock, or None while the vehicle has not told."""
+        if is_unix(t_us):
+            return t_us
+        return None if self._unix_minus_boot is None else t_us + self._unix_minus_boot
+
     def map(self, stamp_us: int, received_us: int, wraps: bool = False) -> int | Rejection:
         """The time of a message that is not an IMU's, or why it has none; arguments as for
         `map_imu`.
@@ -156,7 +167,7 @@ class Clock:
         if is_unix(stamp_us) == is_unix(newest):
             t_us = _unwrapped(stamp_us, newest) if wraps else stamp_us
         elif offset is None:
-            t_us = received_us - min(int(self._state[LAG]), int(self._state[LAG_BEFORE]))
+            t_us = received_us - self.lag_us
         elif is_unix(stamp_us):
             t_us = stamp_us - offset
         else:

@@ -22,6 +22,8 @@ _SLACK: Final = 0.95
 """Stamps on a grid must not fall just short of the highest rate."""
 _ATTITUDE_ID: Final = fields_of("ATTITUDE").msgid
 _GLOBAL_POSITION_ID: Final = fields_of("GLOBAL_POSITION_INT").msgid
+_NEVER_USED: Final = frozenset((fields_of("LOCAL_POSITION_NED").msgid,))
+"""Only looked at, by the monitor."""
 
 
 class Stamped(Protocol):
@@ -51,7 +53,7 @@ class Fixes:
         self._clock = clock
         self._dropped = dropped
         self._sources: Sources | None = None
-        self._idle: frozenset[int] = frozenset()
+        self._idle: frozenset[int] = _NEVER_USED
         self._heading_gap_us = 0.0
         self._quality: GpsRaw | None = None
         self._quality_us = 0
@@ -70,7 +72,7 @@ class Fixes:
         self._sources = sources
         rate = sources.heading_rate
         self._heading_gap_us = 0.0 if rate is None else _SLACK * 1e6 / rate
-        idle = set()
+        idle = set(_NEVER_USED)
         if sources.heading != "attitude":
             idle.add(_ATTITUDE_ID)
         if sources.gnss != "global_position_int" and not sources.vertical_velocity:

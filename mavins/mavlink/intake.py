@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 import numpy as np
 
@@ -17,9 +17,12 @@ from mavins.estimator.settings import Settings
 from mavins.mavlink.clock import Clock, ImuTimes
 from mavins.mavlink.codec import (
     IMU_KINDS,
+    Attitude,
     Frames,
+    GlobalPosition,
     Heartbeat,
     Invalid,
+    LocalPosition,
     SystemTime,
     decode,
     fields_of,
@@ -44,6 +47,7 @@ _OTHER_IDS: Final = np.array(
             "GPS_INPUT",
             "HIL_GPS",
             "ATTITUDE",
+            "LOCAL_POSITION_NED",
         )
     ),
     dtype=np.int64,
@@ -63,11 +67,27 @@ def _boot_stamps(frames: Frames, at: IntArray) -> list[int]:
     return stamps
 
 
+class Watcher(Protocol):
+    """Who looks at what an autopilot says of itself; it changes no estimate."""
+
+    def wants(self, msgid: int, stamp_us: int, autopilot: int | None) -> bool:
+        """True for a packet that is to be shown."""
+
+    def see(self, msgid: int, message: Any, t_us: int) -> None:
+        """Look at a message, whose stamp is `t_us` on the vehicle's time base."""
+
+    def summary(self) -> dict[str, Any] | None:
+        """What was seen in all, for the summary of a run."""
+
+
 class Intake:
     """Feeds one vehicle's estimator from its packets."""
 
-    def __init__(self, estimator: Feed, settings: SourceSettings) -> None:
+    def __init__(
+        self, estimator: Feed, settings: SourceSettings, watcher: Watcher | None = None
+    ) -> None:
         self.estimator = estimator
+        self.watcher = watcher
         self.clock = Clock()
         self.counts: Counter[str] = Counter()
         self.dropped: Counter[str] = Counter()
@@ -122,12 +142,16 @@ class Intake:
         msgids, places = frames.msgid[others].tolist(), np.searchsorted(samples.at, others).tolist()
         is_idle, taken = self.fixes.is_idle, 0
         for i, msgid, stamp_us, before in zip(others.tolist(), msgids, stamps, places, strict=True):
-            if is_idle(msgid, stamp_us):
+            idle, watched = is_idle(msgid, stamp_us), self._is_watched(msgid, stamp_us)
+            if idle and not watched:
                 continue
             if before > taken:
                 self._place(samples, slice(taken, before))
                 taken = before
-            self._take_other(frames, i)
+            if watched:
+                self._show(frames, i)
+            if not idle:
+                self._take_other(frames, i)
         if taken < len(samples.at):
             self._place(samples, slice(taken, len(samples.at)))
 
@@ -136,7 +160,10 @@ class Intake:
         msgid = int(frames.msgid[0])
         self.counts[name_of(msgid)] += 1
         if msgid not in IMU_KINDS:
-            if not self.fixes.is_idle(msgid, int.from_bytes(frames.body(0, 4), "little") * 1000):
+            stamp_us = int.from_bytes(frames.body(0, 4), "little") * 1000
+            if self._is_watched(msgid, stamp_us):
+                self._show(frames, 0)
+            if not self.fixes.is_idle(msgid, stamp_us):
                 self._take_other(frames, 0)
         elif self.imu.chosen is not None or self.imu.offer(frames, 0):
             sample = self.imu.sample(frames, 0)
@@ -150,6 +177,21 @@ class Intake:
             return {}
         seconds = (newest_us - first_us) * 1e-6
         return {name: n / seconds for name, n in self.counts.items()}
+
+    def _is_watched(self, msgid: int, stamp_us: int) -> bool:
+        """True for a packet that the watcher wants to see."""
+        return self.watcher is not None and self.watcher.wants(msgid, stamp_us, self.autopilot)
+
+    def _show(self, frames: Frames, i: int) -> None:
+        """Let the watcher see a message of the vehicle's autopilot, where it has a time; nothing is counted."""
+        if int(frames.compid[i]) != self.imu.compid:
+            return
+        message = decode(frames, i)
+        if isinstance(message, Attitude | GlobalPosition | LocalPosition):
+            assert self.watcher is not None
+            t_us = self.clock.map(message.stamp_us, int(frames.t_us[i]), message.wraps)
+            if isinstance(t_us, int):
+                self.watcher.see(int(frames.msgid[i]), message, t_us)
 
     # ---- IMU ---------------------------------------------------------------------------------------------------
 

@@ -16,6 +16,8 @@ from typing import Any, Final, Protocol
 import numpy as np
 
 from mavins.estimator.estimator import Estimator
+from mavins.mavlink.autopilot_output import AutopilotOutput
+from mavins.mavlink.autopilot_settings import AutopilotOutputSettings, MonitorSettings
 from mavins.mavlink.codec import (
     IMU_KINDS,
     Damage,
@@ -30,6 +32,7 @@ from mavins.mavlink.codec import (
 from mavins.mavlink.codec import decode as decode_frame
 from mavins.mavlink.intake import RELEVANT, Intake
 from mavins.mavlink.microservice import Request
+from mavins.mavlink.monitor import Monitor
 from mavins.mavlink.parameters import (
     PARAM_SET,
     ParameterStore,
@@ -108,6 +111,8 @@ class Session:
         verify: Callable[[Frames, Hashable], Verdict] | None = None,
         seal: Callable[[bytes, Hashable], bytes] | None = None,
         make_store: Callable[[Vehicle], ParameterStore | None] = lambda vehicle: None,
+        monitor: MonitorSettings | None = None,
+        output: AutopilotOutputSettings | None = None,
     ) -> None:
         self.vehicles: dict[int, Vehicle] = {}
         self.dropped: Counter[str] = Counter()
@@ -125,6 +130,8 @@ class Session:
         self._verify = verify
         self._seal = seal or (lambda packet, address: packet)
         self._make_store = make_store
+        self._monitor = monitor
+        self._output = output or AutopilotOutputSettings()
         self._out: list[tuple[bytes, Hashable]] = []
         # a service sends each packet as soon as it is made; without one they wait for `datagrams`
         self._transmit = transmit or (lambda data, address: self._out.append((data, address)))
@@ -209,6 +216,9 @@ class Session:
                 due = vehicle.estimate_due()
                 if due is not None:
                     self._stream(vehicle, due, now_us)
+                for payload in vehicle.output_due():
+                    self._send(vehicle, payload, vehicle.holder.address)
+                    self._record(vehicle, payload, now_us)
 
     def tick(self, now_us: int) -> None:
         """What is due by our own clock; call it some ten times a second."""
@@ -295,15 +305,19 @@ class Session:
             self.dropped["more vehicles than max_vehicles"] += 1
             return None
         estimator = self._make_estimator(sysid)
+        monitor = None if self._monitor is None else Monitor(self._monitor, estimator)
+        intake = Intake(estimator, self._sources, monitor)
         vehicle = Vehicle(
             sysid,
             self._identity(sysid),
             estimator,
-            Intake(estimator, self._sources),
+            intake,
             Holder(address, now_us),
             self._streams,
             round(self._settings.vehicle_timeout * 1e6),
             self._settings.persona,
+            monitor=monitor,
+            output=AutopilotOutput(self._output, intake.clock),
         )
         vehicle.parameters = VehicleParameters(self._make_store(vehicle))
         self.vehicles[sysid] = vehicle

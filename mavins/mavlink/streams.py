@@ -8,21 +8,27 @@ from dataclasses import dataclass
 from typing import Final, Protocol
 
 from mavins.estimator.estimator import Estimator
+from mavins.estimator.vibration import Vibration
 from mavins.mavlink.codec import (
     Payload,
     attitude_from,
     attitude_quaternion,
+    attitude_quaternion_cov,
     estimator_status,
     fields_of,
     global_position_from,
+    global_position_int_cov,
     gps_global_origin,
     highres_imu_from,
     home_position,
     local_position_ned,
+    local_position_ned_cov,
     odometry,
     sys_status,
+    system_time,
 )
 from mavins.mavlink.intake import Intake
+from mavins.mavlink.reports import ekf_status_of, extended_sys_state_of, vibration_of
 from mavins.nav.earth import TangentFrame
 from mavins.types import FloatArray, Health, NavSolution, Origin
 
@@ -32,8 +38,10 @@ _MAG: Final = 0x04
 _GPS: Final = 0x20
 _AHRS: Final = 0x200000
 _GEOFENCE: Final = 0x100000
+_CHECK: Final = 0x10000000
 """MAV_SYS_STATUS_SENSOR bits. Ground stations ask for magnetometer health before they call a vehicle healthy (our
-heading source stands in for it), and read a missing geofence bit as a breach."""
+heading source stands in for it), and read a missing geofence bit as a breach. _CHECK is PREARM_CHECK: nobody should
+start with an autopilot that does not know where it is."""
 
 _ATTITUDE_OK: Final = 1
 _VELOCITY_OK: Final = 2 | 4
@@ -101,10 +109,17 @@ def estimator_status_of(estimator: Estimator, solution: NavSolution) -> Payload:
     )
 
 
-def sys_status_of(estimator: Estimator, gnss_seen: bool, silent: bool = False) -> Payload:
-    """SYS_STATUS of an estimator, running or not; of a `silent` vehicle no sensor is healthy."""
-    present = _GYRO | _ACCEL | _MAG | _AHRS | _GEOFENCE | (_GPS if gnss_seen else 0)
+def sys_status_of(
+    estimator: Estimator, gnss_seen: bool, silent: bool = False, alarm: bool = False
+) -> Payload:
+    """SYS_STATUS of an estimator, running or not; of a `silent` vehicle no sensor is healthy.
+
+    With `alarm` (the autopilot's own estimate differs from ours) the check before arming has failed.
+    """
+    present = _GYRO | _ACCEL | _MAG | _AHRS | _GEOFENCE | _CHECK | (_GPS if gnss_seen else 0)
     health = _GEOFENCE if silent else _GYRO | _ACCEL | _GEOFENCE
+    if not alarm:
+        health |= _CHECK
     if estimator.running and not silent:
         health |= _MAG | _AHRS
         if estimator.health == Health.RUNNING:
@@ -155,6 +170,11 @@ class Subject(Protocol):
     estimator: Estimator
     intake: Intake
     home: Home | None
+    vibration: Vibration
+
+    @property
+    def alarm(self) -> bool:
+        """True while the autopilot's own estimate differs from ours."""
 
     @property
     def silent(self) -> bool:
@@ -199,8 +219,19 @@ def _home(solution: NavSolution, subject: Subject) -> Payload | None:
     return None if subject.home is None else subject.home.message(solution.t_us)
 
 
+def _global_position_cov(solution: NavSolution, subject: Subject) -> Payload | None:
+    home = subject.home
+    return None if home is None else global_position_int_cov(solution, home.position.alt)
+
+
 def _sys_status(subject: Subject) -> Payload:
-    return sys_status_of(subject.estimator, subject.intake.last_fix is not None, subject.silent)
+    gnss_seen = subject.intake.last_fix is not None
+    return sys_status_of(subject.estimator, gnss_seen, subject.silent, subject.alarm)
+
+
+def _system_time(subject: Subject) -> Payload | None:
+    t_us = subject.estimator.t_us
+    return None if t_us is None else system_time(subject.intake.clock.unix_of(t_us) or 0, t_us)
 
 
 OF_ESTIMATE: Final[dict[str, Callable[[NavSolution, Subject], Payload | None]]] = {
@@ -211,12 +242,19 @@ OF_ESTIMATE: Final[dict[str, Callable[[NavSolution, Subject], Payload | None]]] 
     "global_position_int": _global_position,
     "highres_imu": lambda solution, _: highres_imu_from(solution),
     "estimator_status": lambda solution, subject: estimator_status_of(subject.estimator, solution),
+    "local_position_ned_cov": lambda solution, _: local_position_ned_cov(solution),
+    "attitude_quaternion_cov": lambda solution, _: attitude_quaternion_cov(solution),
+    "global_position_int_cov": _global_position_cov,
+    "ekf_status_report": lambda _, subject: ekf_status_of(subject.estimator),
+    "vibration": lambda _, subject: vibration_of(subject.estimator, subject.vibration),
     "gps_global_origin": _origin,
     "home_position": _home,
 }
 """What tells of the estimate, due on the vehicle's clock."""
 OF_SERVICE: Final[dict[str, Callable[[Subject], Payload | None]]] = {
     "sys_status": _sys_status,
+    "extended_sys_state": lambda subject: extended_sys_state_of(subject.estimator),
+    "system_time": _system_time,
 }
 """What is told without an estimate too, due on the service's clock."""
 MSGIDS: Final = {fields_of(n.upper()).msgid: n for n in (*OF_ESTIMATE, *OF_SERVICE)}

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator
+from collections.abc import Hashable, Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
 from mavins.estimator.estimator import Estimator
+from mavins.estimator.vibration import Vibration
+from mavins.mavlink.autopilot_output import AutopilotOutput
 from mavins.mavlink.codec import (
     Frames,
     Payload,
@@ -16,6 +18,7 @@ from mavins.mavlink.codec import (
     statustext,
 )
 from mavins.mavlink.intake import Intake
+from mavins.mavlink.monitor import Monitor
 from mavins.mavlink.parameters import VehicleParameters
 from mavins.mavlink.peers import Identity
 from mavins.mavlink.settings import Persona, StreamSettings
@@ -47,6 +50,8 @@ _SEVERITY: Final = {
     Health.DIVERGED: 3,
 }
 """Health -> MAV_SEVERITY: info, warning, error."""
+_WARNING: Final = 4
+_INFO: Final = 6
 
 
 def _name(health: Health) -> str:
@@ -103,6 +108,9 @@ class Vehicle:
     timeout_us: int = 3_000_000
     persona: Persona = "vehicle"
     parameters: VehicleParameters = field(default_factory=VehicleParameters)
+    monitor: Monitor | None = None
+    output: AutopilotOutput | None = None
+    vibration: Vibration = field(default_factory=Vibration)
     home: Home | None = None
     lack: str = ""
     _plans: Plans = field(init=False)
@@ -116,6 +124,7 @@ class Vehicle:
     _reason: str = ""
     _reason_us: int = 0
     _reason_said: str = ""
+    _refusal: str = ""
 
     def __post_init__(self) -> None:
         self.set_rates(self.stream_settings)
@@ -129,10 +138,14 @@ class Vehicle:
             self._imu_us = int(frames.t_us[-1])
         yield from self.news()
         yield from self._fix_news()
+        if self.monitor is not None:
+            for text, is_warning in self.monitor.texts():
+                yield from self.text(text, _WARNING if is_warning else _INFO)
 
     def tick(self, now_us: int) -> list[Payload]:
         """News by our own clock: HEARTBEAT, and a word when the vehicle falls silent."""
-        due = [*self._silence_news(now_us), *self._reason_news(now_us)]
+        due = [*self._silence_news(now_us), *self._reason_news(now_us), *self._output_news()]
+        self.vibration.look(self.estimator)
         if self._heartbeat_us is None or now_us - self._heartbeat_us >= HEARTBEAT_US:
             self._heartbeat_us = now_us
             state = MAV_STATE_CRITICAL if self.lack else _STATE[self.estimator.health]
@@ -151,6 +164,14 @@ class Vehicle:
         rates = settings.rates(self.persona)
         self.stream_settings = settings
         self._plans = Plans(plan_of(rates, OF_ESTIMATE), plan_of(rates, OF_SERVICE))
+
+    def output_due(self) -> Iterable[Payload]:
+        """What is due to the vehicle's own autopilot."""
+        if self.output is None:
+            return ()
+        intake = self.intake
+        satellites = None if intake.last_fix is None else intake.last_fix.satellites
+        return self.output.due(self.estimator, intake.autopilot, satellites)
 
     def estimate_due(self) -> Due | None:
         """Which messages are due on the vehicle's clock; None before there is an estimate."""
@@ -199,6 +220,11 @@ class Vehicle:
         return [home.message(t_us)]
 
     @property
+    def alarm(self) -> bool:
+        """True while the autopilot's own estimate differs from ours."""
+        return self.monitor is not None and self.monitor.warning
+
+    @property
     def silent(self) -> bool:
         """True while the vehicle sends no IMU."""
         return bool(self.lack)
@@ -229,6 +255,14 @@ class Vehicle:
             return []
         self._reason_said = reason
         return self.text(f"mavins {_name(self.estimator.health)}: {reason}", 6)
+
+    def _output_news(self) -> list[Payload]:
+        """A text where the user wants the autopilot to get something that it cannot."""
+        refusal = "" if self.output is None else self.output.refusal(self.intake.autopilot)
+        if refusal == self._refusal:
+            return []
+        self._refusal = refusal
+        return self.text(f"mavins: {refusal}", _WARNING) if refusal else []
 
     def set_origin(self, origin: Origin) -> list[Payload]:
         """Put the origin of n there; returns the announcement."""

@@ -7,9 +7,14 @@
     packet = frame(local_position_ned(solution), sysid=100, compid=1, seq=0)
 
 fields: wire layouts from pymavlink's dialect; framing: packets in bytes; messages, decode, tables: bytes
--> SI; encode, outputs: SI -> bytes.
+-> SI; encode, outputs, covariances, to_autopilot: SI -> bytes.
 """
 
+from mavins.mavlink.codec.covariances import (
+    attitude_quaternion_cov,
+    global_position_int_cov,
+    local_position_ned_cov,
+)
 from mavins.mavlink.codec.decode import (
     FIRST_UNIX_US,
     decode,
@@ -44,6 +49,7 @@ from mavins.mavlink.codec.messages import (
     ImuMessage,
     ImuRows,
     Invalid,
+    LocalPosition,
     Message,
     OriginRequest,
     SimState,
@@ -55,7 +61,9 @@ from mavins.mavlink.codec.outputs import (
     attitude_quaternion,
     autopilot_version,
     command_ack,
+    ekf_status_report,
     estimator_status,
+    extended_sys_state,
     global_position_from,
     gps_global_origin,
     highres_imu_from,
@@ -68,8 +76,15 @@ from mavins.mavlink.codec.outputs import (
     pose_and_twist,
     statustext,
     sys_status,
+    vibration,
 )
 from mavins.mavlink.codec.tables import decode_fields, decode_imu, payload_rows
+from mavins.mavlink.codec.to_autopilot import (
+    gps_input,
+    odometry_for_ardupilot,
+    odometry_for_px4,
+    vision_position_estimate,
+)
 
 __all__ = [
     "ACCEL_AND_GYRO",
@@ -90,6 +105,7 @@ __all__ = [
     "ImuMessage",
     "ImuRows",
     "Invalid",
+    "LocalPosition",
     "Message",
     "OriginRequest",
     "Payload",
@@ -99,6 +115,7 @@ __all__ = [
     "attitude",
     "attitude_from",
     "attitude_quaternion",
+    "attitude_quaternion_cov",
     "autopilot_version",
     "boot_ms",
     "command_ack",
@@ -106,12 +123,16 @@ __all__ = [
     "decode_fields",
     "decode_imu",
     "decode_truth",
+    "ekf_status_report",
     "estimator_status",
+    "extended_sys_state",
     "fields_of",
     "frame",
     "global_position_from",
     "global_position_int",
+    "global_position_int_cov",
     "gps_global_origin",
+    "gps_input",
     "gps_raw_int",
     "heartbeat",
     "highres_imu",
@@ -120,9 +141,12 @@ __all__ = [
     "home_position",
     "incomplete_at",
     "local_position_ned",
+    "local_position_ned_cov",
     "message_interval",
     "name_of",
     "odometry",
+    "odometry_for_ardupilot",
+    "odometry_for_px4",
     "param_error",
     "param_value",
     "payload",
@@ -133,4 +157,6 @@ __all__ = [
     "statustext",
     "sys_status",
     "system_time",
+    "vibration",
+    "vision_position_estimate",
 ]

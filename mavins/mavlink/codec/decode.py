@@ -27,6 +27,7 @@ from mavins.mavlink.codec.messages import (
     HilState,
     ImuMessage,
     Invalid,
+    LocalPosition,
     Message,
     OriginRequest,
     SimState,
@@ -204,6 +205,13 @@ def _global_position_int(v: Values) -> GlobalPosition:
     )
 
 
+def _local_position_ned(v: Values) -> LocalPosition:
+    stamp_ms, x, y, z, *velocity = v
+    _finite(x, y, z)
+    _speed_in_range(*velocity)
+    return LocalPosition(stamp_ms * 1000, (x, y, z), (velocity[0], velocity[1], velocity[2]))
+
+
 def _gps_input(v: Values) -> GpsInput:
     (stamp, _, lat, lon, alt, hdop, vdop, vn, ve, vd, vel_acc, h_acc, v_acc) = v[:13]
     ignore, _, gps_id, fix, sats, yaw = v[13:]
@@ -330,6 +338,7 @@ _DECODERS: Final = _table(
     RAW_IMU=_raw_imu,
     GPS_RAW_INT=_gps_raw_int,
     GLOBAL_POSITION_INT=_global_position_int,
+    LOCAL_POSITION_NED=_local_position_ned,
     GPS_INPUT=_gps_input,
     HIL_GPS=_hil_gps,
     ATTITUDE=_attitude,

@@ -41,6 +41,10 @@ NAN_IS_UNKNOWN: Final = frozenset(
         ("ODOMETRY", "pose_covariance"),
         ("ODOMETRY", "velocity_covariance"),
         ("HOME_POSITION", "q"),
+        ("LOCAL_POSITION_NED_COV", "covariance"),
+        ("ATTITUDE_QUATERNION_COV", "covariance"),
+        ("GLOBAL_POSITION_INT_COV", "covariance"),
+        ("VISION_POSITION_ESTIMATE", "covariance"),
     }
 )
 """The fields in which MAVLink defines NaN as 'unknown'; in all others a NaN is never sent."""

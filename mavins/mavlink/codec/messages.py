@@ -122,6 +122,18 @@ class GlobalPosition:
 
 
 @dataclass(frozen=True, slots=True)
+class LocalPosition:
+    """LOCAL_POSITION_NED: position (m) and velocity (m/s) in a NED frame of the sender's own."""
+
+    wraps: ClassVar[bool] = True
+    kind: ClassVar[str] = "LOCAL_POSITION_NED"
+
+    stamp_us: int
+    p_n: tuple[float, float, float]
+    v_n: tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
 class GpsInput:
     """GPS_INPUT: as GpsRaw with NED velocity m/s; what `ignore_flags` rules out is None, in `v_l`
     NaN.
@@ -258,6 +270,7 @@ Message: TypeAlias = (
     ImuMessage
     | GpsRaw
     | GlobalPosition
+    | LocalPosition
     | GpsInput
     | HilGps
     | Attitude

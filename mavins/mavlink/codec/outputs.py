@@ -37,6 +37,9 @@ _LOCAL_POSITION_NED: Final = fields_of("LOCAL_POSITION_NED")
 _ATTITUDE_QUATERNION: Final = fields_of("ATTITUDE_QUATERNION")
 _ODOMETRY: Final = fields_of("ODOMETRY")
 _ESTIMATOR_STATUS: Final = fields_of("ESTIMATOR_STATUS")
+_EKF_STATUS_REPORT: Final = fields_of("EKF_STATUS_REPORT")
+_VIBRATION: Final = fields_of("VIBRATION")
+_EXTENDED_SYS_STATE: Final = fields_of("EXTENDED_SYS_STATE")
 _SYS_STATUS: Final = fields_of("SYS_STATUS")
 _GPS_GLOBAL_ORIGIN: Final = fields_of("GPS_GLOBAL_ORIGIN")
 _HOME_POSITION: Final = fields_of("HOME_POSITION")
@@ -104,13 +107,23 @@ def pose_and_twist(solution: NavSolution) -> tuple[FloatArray, FloatArray, Float
     return v_b, covariances[0], covariances[1]
 
 
+def pose_upper_triangle(solution: NavSolution) -> list[float]:
+    """The upper triangle of the pose's covariance, row by row (21 numbers)."""
+    triangle: list[float] = pose_and_twist(solution)[1][_UPPER_6].tolist()
+    return triangle
+
+
 def odometry(
     solution: NavSolution,
     estimator_type: int = dialect.MAV_ESTIMATOR_TYPE_GPS_INS,
     quality: int = 0,
+    *,
+    frame_id: int = dialect.MAV_FRAME_LOCAL_NED,
+    stamp_us: int | None = None,
 ) -> Payload:
-    """ODOMETRY: pose in n (MAV_FRAME_LOCAL_NED), twist in b (MAV_FRAME_BODY_FRD), upper triangles
-    of both covariances, row by row. `quality` is -1 failed, 0 unknown, 1..100 percent.
+    """ODOMETRY: pose in n (which `frame_id` names), twist in b (MAV_FRAME_BODY_FRD), upper triangles
+    of both covariances, row by row. `quality` is -1 failed, 0 unknown, 1..100 percent; `stamp_us`
+    None is the solution's own.
     """
     x, y, z = solution.p_n.tolist()
     v_b, pose, twist = pose_and_twist(solution)
@@ -118,8 +131,8 @@ def odometry(
     rollspeed, pitchspeed, yawspeed = solution.w_b.tolist()
     return payload(
         _ODOMETRY,
-        time_usec=solution.t_us,
-        frame_id=dialect.MAV_FRAME_LOCAL_NED,
+        time_usec=solution.t_us if stamp_us is None else stamp_us,
+        frame_id=frame_id,
         child_frame_id=dialect.MAV_FRAME_BODY_FRD,
         x=x,
         y=y,
@@ -162,6 +175,47 @@ def estimator_status(
         pos_horiz_accuracy=math.sqrt(max(0.0, solution.P[0, 0] + solution.P[1, 1])),
         pos_vert_accuracy=math.sqrt(max(0.0, solution.P[2, 2])),
     )
+
+
+def ekf_status_report(
+    flags: int,
+    *,
+    vel_ratio: float = 0.0,
+    pos_horiz_ratio: float = 0.0,
+    pos_vert_ratio: float = 0.0,
+    mag_ratio: float = 0.0,
+) -> Payload:
+    """EKF_STATUS_REPORT of the ArduPilot dialect: `flags` of EKF_STATUS_FLAGS; its 'variances' are
+    test ratios (innovation / gate), good below 0.5, bad from 0.8 on.
+    """
+    return payload(
+        _EKF_STATUS_REPORT,
+        flags=flags,
+        velocity_variance=vel_ratio,
+        pos_horiz_variance=pos_horiz_ratio,
+        pos_vert_variance=pos_vert_ratio,
+        compass_variance=mag_ratio,
+    )
+
+
+def vibration(t_us: int, level: Sequence[float], clipped: int) -> Payload:
+    """VIBRATION: the accelerometer's standard deviation above the vehicle's motion, on each axis of
+    b in m/s^2, and how many samples were at the sensor's limit.
+    """
+    x, y, z = level
+    return payload(
+        _VIBRATION,
+        time_usec=t_us,
+        vibration_x=x,
+        vibration_y=y,
+        vibration_z=z,
+        clipping_0=clipped,
+    )
+
+
+def extended_sys_state(landed_state: int) -> Payload:
+    """EXTENDED_SYS_STATE: a MAV_LANDED_STATE; we are no VTOL."""
+    return payload(_EXTENDED_SYS_STATE, landed_state=landed_state)
 
 
 def sys_status(

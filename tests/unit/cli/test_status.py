@@ -13,6 +13,7 @@ from mavins.cli.status import make_renderer, to_plain, to_svg
 from mavins.status import (
     AidingStatus,
     EstimateStatus,
+    MonitorStatus,
     StatusSnapshot,
     TruthError,
     VehicleStatus,
@@ -178,3 +179,37 @@ def test_biases_and_gravity_are_shown_where_they_are_estimated() -> None:
     assert "mag bias 0.100 -0.200 0.050 (±0.010/0.020/0.030)" in line
     assert "gravity 0.60 -0.80 deg (±0.10/0.20)" in line
     assert from_json(to_json(snapshot)) == snapshot
+
+
+AGREES = MonitorStatus(0.6, 3.0, "m", 0.7)
+DIFFERS = MonitorStatus(math.radians(24.0), math.radians(10.0), "rad", 2.6, 12.4, True)
+
+
+def watched(**monitor: MonitorStatus) -> StatusSnapshot:
+    vehicle = dataclasses.replace(VEHICLE, monitor=monitor)
+    return dataclasses.replace(SNAPSHOT, vehicles=(vehicle,))
+
+
+def test_plain_says_what_the_autopilot_differs_in() -> None:
+    assert "autopilot" not in to_plain(SNAPSHOT)
+    quiet = dataclasses.replace(DIFFERS, difference=0.01, warning=False)
+    assert "autopilot agrees (position 0.6 of 3.0 m)" in to_plain(
+        watched(position=AGREES, yaw=quiet)
+    )
+    line = to_plain(watched(position=AGREES, yaw=DIFFERS))
+    assert "AUTOPILOT DIFFERS: yaw 24.0 of 10.0 deg for 12 s" in line
+    assert "position" not in line
+
+
+def test_the_panel_shows_the_monitor() -> None:
+    picture = to_svg(watched(position=AGREES, yaw=DIFFERS)).replace("&#160;", " ")
+    for text in ("24.0 of 10.0 deg", "2.40", "2.60", "for 12 s", "0.6 of 3.0 m"):
+        assert text in picture
+
+
+def test_the_monitor_survives_json() -> None:
+    snapshot = watched(position=AGREES, yaw=DIFFERS)
+    assert from_json(to_json(snapshot)) == snapshot
+    old = json.loads(to_json(SNAPSHOT))
+    del old["vehicles"][0]["monitor"]
+    assert from_json(json.dumps(old)).vehicles[0].monitor is None

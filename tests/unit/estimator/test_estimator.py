@@ -278,3 +278,24 @@ def test_standing_after_a_motion_is_found_by_every_detector_but_start(detector: 
     after = v.estimator.statistics["zero_velocity"].accepted
     assert after - before == 0 if detector == "start" else after - before > 30
     assert v.estimator.running
+
+
+def test_what_it_tells_beside_its_solution() -> None:
+    v = Vehicle()
+    assert v.estimator.standing is None
+    assert v.estimator.yaw_from_motion() is None
+    assert len(v.estimator.imu_after(-1)[0]) == 0
+    v.go(6.0)
+    assert v.estimator.standing is True
+    assert v.estimator.yaw_from_motion() is None, "nothing has moved"
+    times, rows = v.estimator.imu_after(v.t_us - 50_000)
+    assert times.tolist() == [v.t_us - 10_000 * k for k in (4, 3, 2, 1, 0)]
+    assert rows.shape == (5, 6)
+    v.gyro_bias[:] = 1.0  # as good as a turn
+    v.go(1.0)
+    state = v.estimator._line.state
+    assert state is not None
+    state.x[3:6] = 0.0
+    assert v.estimator.standing is None, "it moved, but not away"
+    state.x[3] = 5.0
+    assert v.estimator.standing is False

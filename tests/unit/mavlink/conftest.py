@@ -91,6 +91,16 @@ class FakeEstimator:
             return None
         return make_solution(self.t_us, self.health, self.reset_counter)
 
+    def yaw_from_motion(self) -> tuple[float, float] | None:
+        return None
+
+    @property
+    def standing(self) -> bool | None:
+        return None
+
+    def imu_after(self, t_us: int) -> tuple[Any, Any]:
+        return np.empty(0, np.int64), np.empty((0, 6))
+
     def set_origin(self, origin: Origin) -> None:
         self.origins.append(origin)
 

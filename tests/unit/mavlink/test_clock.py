@@ -57,6 +57,9 @@ class TestUnixStamps:
         assert clock.unix_minus_boot_us == UNIX - 10_000_000
         assert clock.map(UNIX - 200_000, 0) == 9_800_000
         assert clock.map(9_800_000, 0) == 9_800_000
+        assert clock.unix_of(9_800_000) == UNIX - 200_000
+        assert clock.unix_of(UNIX + 7) == UNIX + 7
+        assert running().unix_of(9_800_000) is None
 
     def test_a_system_time_without_unix_time_or_of_another_boot_says_nothing(self) -> None:
         clock = running()

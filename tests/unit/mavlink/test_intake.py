@@ -448,3 +448,56 @@ def test_the_outcome_does_not_depend_on_the_grouping(settings: Settings | None) 
         assert repr(parts.ear.events) == repr(expected.events)
         assert +parts.intake.dropped == +whole.intake.dropped
         assert parts.intake.counts == whole.intake.counts
+
+
+class Watcher:
+    """Wants one kind of message and notes what it is shown."""
+
+    def __init__(self, msgid: int) -> None:
+        self.msgid = msgid
+        self.asked: list[int | None] = []
+        self.seen: list[tuple[str, int, int]] = []
+
+    def wants(self, msgid: int, stamp_us: int, autopilot: int | None) -> bool:
+        self.asked.append(autopilot)
+        return msgid == self.msgid
+
+    def see(self, msgid: int, message: Any, t_us: int) -> None:
+        self.seen.append((message.kind, message.stamp_us, t_us))
+
+    def summary(self) -> None:
+        return None
+
+
+def talk(line: Line) -> None:
+    """What a PX4 sends of itself: ten of each of its estimates, one of them of no use, one by a gimbal."""
+    for k in range(10):
+        t_us = 1_000_000 + 20_000 * (k + 1)
+        line.put(imu(t_us), t_us)
+        line.put(attitude(t_us, 0.1, 0.2, 0.3, (0.0, 0.0, 0.0)), t_us)
+        line.put(global_position_int(t_us, 0.8, 0.1, 400.0, 0.0, (1.0, 2.0, 3.0), 0.3), t_us)
+        line.put(dialect.MAVLink_local_position_ned_message(t_us // 1000, *[1.0] * 6), t_us)
+    line.put(attitude(1_210_000, math.nan, 0.0, 0.0, (0.0, 0.0, 0.0)), 1_210_000, compid=154)
+    line.put(global_position_int(1_220_000, 0.0, 0.0, 0.0, 0.0, (0.0, 0.0, 0.0), None), 1_220_000)
+
+
+@pytest.mark.parametrize(
+    ("msgid", "kind"),
+    [(30, "ATTITUDE"), (32, "LOCAL_POSITION_NED"), (33, "GLOBAL_POSITION_INT")],
+)
+@pytest.mark.parametrize("one_by_one", [False, True])
+def test_a_watcher_sees_and_changes_nothing(msgid: int, kind: str, one_by_one: bool) -> None:
+    line, alone, watcher = Line().start(PX4), Line().start(PX4), Watcher(msgid)
+    line.intake.watcher = watcher
+    for each in (line, alone):
+        talk(each)
+        parts = [[item] for item in each.log] if one_by_one else [each.log]
+        for part in parts:
+            each.intake.take(each.frames(part))
+    assert watcher.seen == [
+        (kind, 1_000_000 + 20_000 * k, 1_000_000 + 20_000 * k) for k in range(1, 11)
+    ]
+    assert set(watcher.asked) == {PX4}
+    assert line.ear.events == alone.ear.events
+    assert line.intake.dropped == alone.intake.dropped
+    assert line.intake.counts == alone.intake.counts

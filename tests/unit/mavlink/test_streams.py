@@ -40,8 +40,10 @@ class OneVehicle:
     def __init__(self, estimator: Any, home: Home | None) -> None:
         self.estimator = estimator
         self.home = home
-        self.intake: Any = SimpleNamespace(last_fix=None)
-        self.silent = False
+        clock = SimpleNamespace(unix_of=lambda t_us: t_us + 10**15)
+        self.intake: Any = SimpleNamespace(last_fix=None, clock=clock)
+        self.vibration: Any = SimpleNamespace(level=np.zeros(3), clipped=0, look=lambda e: None)
+        self.silent = self.alarm = False
 
 
 @pytest.fixture
@@ -157,17 +159,19 @@ def test_estimator_status_shows_the_latest_test_ratios(estimator: Any) -> None:
 
 
 def test_sys_status(estimator: Any) -> None:
-    gyro, accel, mag, gps, ahrs, fence = 1, 2, 4, 0x20, 0x200000, 0x100000
+    gyro, accel, mag, gps, ahrs, fence, check = 1, 2, 4, 0x20, 0x200000, 0x100000, 0x10000000
 
-    def of(gnss_seen: bool, silent: bool = False) -> tuple[int, int]:
-        sent = message(sys_status_of(estimator, gnss_seen, silent))
+    def of(gnss_seen: bool, silent: bool = False, alarm: bool = False) -> tuple[int, int]:
+        sent = message(sys_status_of(estimator, gnss_seen, silent, alarm))
         assert sent.onboard_control_sensors_present == sent.onboard_control_sensors_enabled
         return sent.onboard_control_sensors_present, sent.onboard_control_sensors_health
 
-    assert of(False) == (gyro | accel | mag | ahrs | fence, gyro | accel | fence)
+    known = gyro | accel | mag | ahrs | fence | check
+    assert of(False) == (known, gyro | accel | fence | check)
     estimator.start(1)
-    everything = gyro | accel | mag | gps | ahrs | fence
+    everything = known | gps
+    assert of(True, alarm=True) == (everything, everything & ~check)
     assert of(True) == (everything, everything)
     estimator.health = Health.DEAD_RECKONING
     assert of(True) == (everything, everything & ~gps)
-    assert of(True, silent=True) == (everything, fence)
+    assert of(True, silent=True) == (everything, fence | check)

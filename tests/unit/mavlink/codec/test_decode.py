@@ -23,6 +23,7 @@ from mavins.mavlink.codec import (
     HilState,
     ImuMessage,
     Invalid,
+    LocalPosition,
     OriginRequest,
     SimState,
     SystemTime,
@@ -252,6 +253,19 @@ class TestGnss:
         unknown = message("GLOBAL_POSITION_INT", lat=1, lon=1, hdg=U16)
         assert unknown.heading is None
         assert message("GLOBAL_POSITION_INT") == Invalid("GLOBAL_POSITION_INT", "position 0/0")
+
+    def test_local_position_ned(self) -> None:
+        values = {"x": 1.5, "y": -2.5, "z": -30.0, "vx": 3.0, "vy": 4.0, "vz": 0.5}
+        assert message("LOCAL_POSITION_NED", time_boot_ms=7, **values) == LocalPosition(
+            7000, (1.5, -2.5, -30.0), (3.0, 4.0, 0.5)
+        )
+        for bad, reason in (
+            ({"y": math.nan}, "not a finite number"),
+            ({"vz": math.inf}, "not a finite number"),
+            ({"vx": 2000.0}, "velocity out of range"),
+        ):
+            found = message("LOCAL_POSITION_NED", **{**values, **bad})
+            assert found == Invalid("LOCAL_POSITION_NED", reason)
 
     def test_gps_input(self) -> None:
         fix = message(
