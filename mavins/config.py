@@ -17,7 +17,7 @@ from typing import Annotated, Any, Literal
 from mavins import __version__, typed_settings, yaml_text
 from mavins.documented import Doc
 from mavins.estimator.settings import Settings
-from mavins.mavlink.settings import SessionSettings, StreamSettings
+from mavins.mavlink.settings import AskingSettings, SessionSettings, StreamSettings
 from mavins.mavlink.sources import SourceSettings
 
 FilterName = Literal["eskf", "euler_ekf", "iekf", "ieskf", "srcdkf"]
@@ -34,6 +34,7 @@ class Config(Settings):
     sources: SourceSettings = SourceSettings()
     streams: StreamSettings = StreamSettings()
     mavlink: SessionSettings = SessionSettings()
+    asking: AskingSettings = AskingSettings()
 
 
 def load(path: Path | str | None = None, overrides: Mapping[str, Any] | None = None) -> Config:

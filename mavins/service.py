@@ -86,6 +86,7 @@ class Service:
             is_local,
             self._recorder,
             self._transmit,
+            config.asking,
         )
         for host, port in gcs:
             self.session.add_peer((0, host, port))
@@ -170,6 +171,7 @@ class Service:
             packets_in=self.session.packets_in,
             packets_out=self.session.packets_out,
             dropped={k: v for k, v in self.session.dropped.items() if v},
+            remarks=self.session.asking.remarks,
             vehicles=tuple(self._vehicle_status(v, now) for v in self.session.vehicles.values()),
         )
 
@@ -181,6 +183,7 @@ class Service:
         watch.counts_before, watch.counted_at = Counter(counts), now
         estimator = vehicle.estimator
         solution = estimator.solution()
+        autopilot = self.session.asking.autopilots.get(vehicle.sysid)
         return VehicleStatus(
             sysid=vehicle.sysid,
             health=estimator.health.name.lower(),
@@ -191,6 +194,8 @@ class Service:
             aidings={name: aiding_status(s) for name, s in estimator.statistics.items()},
             reset_counter=estimator.reset_counter,
             error=watch.truth.last if solution is not None else None,
+            clock_offset=None if autopilot is None else autopilot.timesync.offset,
+            round_trip=None if autopilot is None else autopilot.timesync.round_trip,
         )
 
     def close(self) -> None:
@@ -212,6 +217,7 @@ class Service:
 
     def _summary(self, vehicle: Vehicle, watch: Watch) -> dict[str, Any]:
         truth = watch.truth.summary()
+        autopilot = self.session.asking.autopilots.get(vehicle.sysid)
         return {
             "mavins": __version__,
             "filter": self._config.filter,
@@ -219,6 +225,7 @@ class Service:
             **summarize(vehicle.estimator, vehicle.intake),
             **({} if truth is None else {"truth": truth}),
             "rows": watch.writer.rows if watch.writer is not None else 0,
+            **({} if autopilot is None else {"asking": autopilot.summary()}),
             "service": {
                 "packets_in": self.session.packets_in,
                 "packets_out": self.session.packets_out,

@@ -65,7 +65,10 @@ class TruthError:
 
 @dataclass(frozen=True, slots=True)
 class VehicleStatus:
-    """One vehicle: `health` is a `Health` name in lower case, `rates` are Hz by sensor."""
+    """One vehicle: `health` is a `Health` name in lower case, `rates` are Hz by sensor.
+
+    `clock_offset` is our time minus the autopilot's, `round_trip` the way there and back, in s (None: not known).
+    """
 
     sysid: int
     health: str
@@ -76,11 +79,16 @@ class VehicleStatus:
     aidings: Mapping[str, AidingStatus] = field(default_factory=dict)
     reset_counter: int = 0
     error: TruthError | None = None
+    clock_offset: float | None = None
+    round_trip: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class StatusSnapshot:
-    """The service at one instant: `uptime` in s; `dropped` counts what was not used, by reason."""
+    """The service at one instant: `uptime` in s; `dropped` counts what was not used, by reason.
+
+    `remarks` say what is wrong with what autopilots send, and what to do about it.
+    """
 
     uptime: float
     peers: int
@@ -88,6 +96,7 @@ class StatusSnapshot:
     packets_out: int
     dropped: Mapping[str, int] = field(default_factory=dict)
     vehicles: tuple[VehicleStatus, ...] = ()
+    remarks: tuple[str, ...] = ()
 
 
 def to_json(snapshot: StatusSnapshot) -> str:
@@ -100,7 +109,8 @@ def from_json(line: str) -> StatusSnapshot:
     try:
         data = json.loads(line)
         vehicles = tuple(_vehicle(item) for item in data.pop("vehicles"))
-        return StatusSnapshot(**data, vehicles=vehicles)
+        remarks = tuple(data.pop("remarks"))
+        return StatusSnapshot(**data, vehicles=vehicles, remarks=remarks)
     except (TypeError, KeyError, AttributeError) as error:
         raise ValueError(f"not a status line: {error}") from None
 

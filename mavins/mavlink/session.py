@@ -16,6 +16,7 @@ from typing import Final, Protocol
 import numpy as np
 
 from mavins.estimator.estimator import Estimator
+from mavins.mavlink.asking import SPOKEN, Asking
 from mavins.mavlink.codec import (
     IMU_KINDS,
     Damage,
@@ -30,7 +31,7 @@ from mavins.mavlink.codec import (
 from mavins.mavlink.codec import decode as decode_frame
 from mavins.mavlink.intake import RELEVANT, Intake
 from mavins.mavlink.microservice import Request
-from mavins.mavlink.peers import Identity, Peer, Peers
+from mavins.mavlink.peers import Identity, Peer, Peers, Speaker
 from mavins.mavlink.requests import (
     BY_MSGID,
     MICROSERVICES,
@@ -41,7 +42,7 @@ from mavins.mavlink.requests import (
     is_for,
 )
 from mavins.mavlink.router import Router
-from mavins.mavlink.settings import SessionSettings, StreamSettings
+from mavins.mavlink.settings import AskingSettings, SessionSettings, StreamSettings
 from mavins.mavlink.sources import ARDUPILOT, PX4, SourceSettings
 from mavins.mavlink.vehicle import Due, Holder, Vehicle
 from mavins.types import Origin
@@ -98,6 +99,7 @@ class Session:
         is_local: Callable[[Hashable], bool] = lambda address: True,
         recorder: Recorder | None = None,
         transmit: Callable[[bytes, Hashable], None] | None = None,
+        asking: AskingSettings | None = None,
     ) -> None:
         self.vehicles: dict[int, Vehicle] = {}
         self.dropped: Counter[str] = Counter()
@@ -116,6 +118,11 @@ class Session:
         # a service sends each packet as soon as it is made; without one they wait for `datagrams`
         self._transmit = transmit or (lambda data, address: self._out.append((data, address)))
         self._router = Router() if settings.route else None
+        self.asking = Asking(
+            asking or AskingSettings(enabled=False),
+            settings.max_vehicles,
+            round(settings.vehicle_timeout * 1e6),
+        )
         self._seen_sysids: set[int] = set()
         self._wanted_origins: list[OriginRequest] = []
 
@@ -138,6 +145,8 @@ class Session:
                 self._transmit(packet, to)
                 self.packets_routed += 1
         msgids, sysids = frames.msgid.tolist(), frames.sysid.tolist()
+        if self.asking.lone or not self.asking.heard.isdisjoint(msgids):
+            self.asking.take(frames, address, now_us, self.vehicles, self._identity)
         requests = {i: decode_packet(frames, i) for i, n in enumerate(msgids) if n in REQUESTS}
         trusted = self._settings.allow_remote_config or self._is_local(address)
         # a recording holds only requests that were carried out, so that a replay may carry them out again
@@ -186,6 +195,10 @@ class Session:
                 for address, payload in service.tick(now_us, vehicle):
                     self._send(vehicle, payload, address)
                     self._record(vehicle, payload, now_us)
+        for said in self.asking.tick(now_us, self.vehicles, self._identity):
+            for address in self.peers if said.to_all else (said.autopilot.address,):
+                self._send(said.autopilot, said.payload, address)
+            self._record(said.autopilot, said.payload, now_us)
         for address in self.peers.expire(now_us):
             for vehicle in self.vehicles.values():
                 vehicle.forget_peer(address)
@@ -208,7 +221,12 @@ class Session:
             return frames
         ours = {vehicle.identity for vehicle in self.vehicles.values()}
         taken = {who.sysid for who in ours if who.sysid not in self.vehicles}
-        echo = [i for i, who in enumerate(zip(sysids, compids, strict=True)) if who in ours]
+        msgids = frames.msgid.tolist()
+        echo = [
+            i
+            for i, who in enumerate(zip(sysids, compids, strict=True))
+            if who in ours or self.asking.is_echo(who, msgids[i])
+        ]
         if echo:
             out.update(echo)
             self.dropped["our own packets"] += len(echo)
@@ -221,8 +239,9 @@ class Session:
                     out.update(at)
                     self.dropped[f"sysid {sysid} from another address"] += len(at)
                     continue
-            self._seen_sysids.add(sysid)
-            if vehicle is None and any(int(frames.msgid[i]) in IMU_KINDS for i in at):
+            if any(msgids[i] not in SPOKEN for i in at):
+                self._seen_sysids.add(sysid)
+            if vehicle is None and any(msgids[i] in IMU_KINDS for i in at):
                 vehicle = self._new_vehicle(sysid, address, now_us)
             if vehicle is not None:
                 vehicle.holder = Holder(address, now_us)
@@ -317,16 +336,16 @@ class Session:
             if v.intake.autopilot in (ARDUPILOT, PX4)
         }
 
-    def _record(self, vehicle: Vehicle, payload: Payload, now_us: int) -> None:
+    def _record(self, speaker: Speaker, payload: Payload, now_us: int) -> None:
         if self._recorder is not None:
-            who = vehicle.identity
+            who = speaker.identity
             self._recorder.write(now_us, frame(payload, *who, self._recorded.next_sequence(who)))
 
-    def _send(self, vehicle: Vehicle, payload: Payload, address: Hashable) -> None:
+    def _send(self, speaker: Speaker, payload: Payload, address: Hashable) -> None:
         peer = self.peers.get(address)
         if peer is None:
             return
-        who = vehicle.identity
+        who = speaker.identity
         self._transmit(frame(payload, *who, peer.next_sequence(who)), address)
         self.packets_out += 1
 
