@@ -180,7 +180,7 @@ def fix_for(autopilot: int, wish: Wish, denied: bool = False) -> str:
         return fix
     if wish.name == "GPS_RAW_INT":
         fix += ", or the receiver has no more"
-    bytes_per_second = (fields_of(wish.name).unpacker.size + 12) * wish.rates[0]
+    bytes_per_second = (fields_of(wish.name).min_length + 12) * wish.rates[0]
     if bytes_per_second < _HEAVY:
         return fix
     baud = next((b for b in _BAUD_RATES if b >= 10.0 * bytes_per_second), _BAUD_RATES[-1])
