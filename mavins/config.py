@@ -17,7 +17,9 @@ from typing import Annotated, Any, Literal
 from mavins import __version__, typed_settings, yaml_text
 from mavins.documented import Doc
 from mavins.estimator.settings import Settings
+from mavins.mavlink.limits import LimitSettings
 from mavins.mavlink.settings import AskingSettings, SessionSettings, StreamSettings
+from mavins.mavlink.signing import SigningSettings
 from mavins.mavlink.sources import SourceSettings
 
 FilterName = Literal["eskf", "euler_ekf", "iekf", "ieskf", "srcdkf"]
@@ -35,6 +37,8 @@ class Config(Settings):
     streams: StreamSettings = StreamSettings()
     mavlink: SessionSettings = SessionSettings()
     asking: AskingSettings = AskingSettings()
+    limits: LimitSettings = LimitSettings()
+    signing: SigningSettings = SigningSettings()
 
 
 def load(path: Path | str | None = None, overrides: Mapping[str, Any] | None = None) -> Config:

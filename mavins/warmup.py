@@ -26,6 +26,7 @@ from mavins.mavlink.codec import (
     heartbeat,
     highres_imu,
     hil_state_quaternion,
+    incomplete_at,
     scan_tlog,
 )
 from mavins.mavlink.session import Session
@@ -62,6 +63,13 @@ def compile_all(report: Report, filter_name: str = "eskf") -> None:
             f"kept in {CACHE}" if CACHE is not None else "not kept: no cache folder can be written"
         )
         report(f"compiled in {time.monotonic() - started:.0f} s, {kept}")
+
+
+def not_ready(config: Config) -> str:
+    """Why a service at work cannot change to this configuration's filter, or nothing: compiling would stop it."""
+    if not compiles() or is_cached(config.filter):
+        return ""
+    return f"{config.filter} is not compiled yet; first run: mavins warmup --filter {config.filter}"
 
 
 def _in_a_process(stage: str, filter_name: str, report: Report) -> None:
@@ -142,6 +150,7 @@ def _fly(filter_name: str, report: Report) -> None:
             report(f"  {stage}")
     estimator.finish()
     scan_tlog(b"")
+    incomplete_at(b"")
 
 
 def _results(filter_name: str, report: Report) -> None:

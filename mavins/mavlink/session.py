@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 from collections import Counter
 from collections.abc import Callable, Collection, Hashable, Iterable
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
 
@@ -31,6 +31,12 @@ from mavins.mavlink.codec import (
 from mavins.mavlink.codec import decode as decode_frame
 from mavins.mavlink.intake import RELEVANT, Intake
 from mavins.mavlink.microservice import Request
+from mavins.mavlink.parameters import (
+    PARAM_SET,
+    ParameterStore,
+    VehicleParameters,
+    is_refused,
+)
 from mavins.mavlink.peers import Identity, Peer, Peers, Speaker
 from mavins.mavlink.requests import (
     BY_MSGID,
@@ -43,6 +49,7 @@ from mavins.mavlink.requests import (
 )
 from mavins.mavlink.router import Router
 from mavins.mavlink.settings import AskingSettings, SessionSettings, StreamSettings
+from mavins.mavlink.signing import Verdict, unsigned, without_secrets
 from mavins.mavlink.sources import ARDUPILOT, PX4, SourceSettings
 from mavins.mavlink.vehicle import Due, Holder, Vehicle
 from mavins.types import Origin
@@ -99,6 +106,9 @@ class Session:
         is_local: Callable[[Hashable], bool] = lambda address: True,
         recorder: Recorder | None = None,
         transmit: Callable[[bytes, Hashable], None] | None = None,
+        verify: Callable[[Frames, Hashable], Verdict] | None = None,
+        seal: Callable[[bytes, Hashable], bytes] | None = None,
+        make_store: Callable[[Vehicle], ParameterStore | None] = lambda vehicle: None,
         asking: AskingSettings | None = None,
     ) -> None:
         self.vehicles: dict[int, Vehicle] = {}
@@ -114,6 +124,9 @@ class Session:
         self._is_local = is_local
         self._recorder = recorder
         self._recorded = Peer(None)
+        self._verify = verify
+        self._seal = seal or (lambda packet, address: packet)
+        self._make_store = make_store
         self._out: list[tuple[bytes, Hashable]] = []
         # a service sends each packet as soon as it is made; without one they wait for `datagrams`
         self._transmit = transmit or (lambda data, address: self._out.append((data, address)))
@@ -130,14 +143,34 @@ class Session:
         """A peer that receives without having sent."""
         self.peers.name(address)
 
+    def hang_up(self, address: Hashable) -> None:
+        """The connection with an address ended: no more goes there, and others may speak for its vehicles at once.
+
+        A peer that was named by the user stays: the connection may come back.
+        """
+        if self.peers.drop(address):
+            self._forget(address)
+        for vehicle in self.vehicles.values():
+            if vehicle.holder.address == address:
+                vehicle.holder.address = None
+
     def receive(self, data: bytes, address: Hashable, now_us: int) -> Frames:
         """Take one datagram; returns its packets that were let in (evaluation looks for truth among them)."""
-        frames = scan(data, now_us)
+        frames = without_secrets(scan(data, now_us))
         if frames.damage:
             self._count_damage(frames.damage)
         if not len(frames):
             return frames
         self.packets_in += len(frames)
+        signed = False
+        if self._verify is not None:
+            verdict = self._verify(frames, address)
+            signed = bool(verdict.signed.all())
+            if verdict.refused:
+                self.dropped.update(verdict.refused)
+                frames = frames.select(verdict.keep)
+                if not len(frames):
+                    return frames
         frames = self._let_in(frames, address, now_us)
         if self._router is not None:
             self._router.hear(frames, address)
@@ -148,13 +181,13 @@ class Session:
         if self.asking.lone or not self.asking.heard.isdisjoint(msgids):
             self.asking.take(frames, address, now_us, self.vehicles, self._identity)
         requests = {i: decode_packet(frames, i) for i, n in enumerate(msgids) if n in REQUESTS}
-        trusted = self._settings.allow_remote_config or self._is_local(address)
+        trusted = self._settings.allow_remote_config or signed or self._is_local(address)
         # a recording holds only requests that were carried out, so that a replay may carry them out again
-        refused = [] if trusted else [i for i, m in requests.items() if m and changes_state(m)]
+        refused = [i for i, m in requests.items() if m and not self._allows(m, trusted)]
         if self._recorder is not None:
             for i in range(len(frames)):
                 if i not in refused:
-                    self._recorder.write(now_us, frames.packet(i))
+                    self._recorder.write(now_us, unsigned(frames.packet(i)))
         start = 0
         # a request takes effect at its place among the packets, as it will in a replay
         for i, message in requests.items():
@@ -163,7 +196,7 @@ class Session:
                 sender = (sysids[i], int(frames.compid[i]))
                 request = Request(message, sender, address, trusted, now_us)
                 self._answer(request, frames, i)
-                if i in refused:
+                if i in refused and not trusted:
                     self._warn(address)
             start = i + 1
         self._feed(frames, sysids, msgids, start, len(msgids))
@@ -200,10 +233,14 @@ class Session:
                 self._send(said.autopilot, said.payload, address)
             self._record(said.autopilot, said.payload, now_us)
         for address in self.peers.expire(now_us):
-            for vehicle in self.vehicles.values():
-                vehicle.forget_peer(address)
-            if self._router is not None:
-                self._router.forget(address)
+            self._forget(address)
+
+    def _forget(self, address: Hashable) -> None:
+        """A peer has gone."""
+        for vehicle in self.vehicles.values():
+            vehicle.forget_peer(address)
+        if self._router is not None:
+            self._router.forget(address)
 
     def datagrams(self) -> list[tuple[bytes, Hashable]]:
         """What is to be sent now: (bytes, address), in order."""
@@ -233,7 +270,7 @@ class Session:
         for sysid in sorted(set(sysids) - taken):
             at = [i for i, s in enumerate(sysids) if s == sysid and i not in out]
             vehicle = self.vehicles.get(sysid)
-            if vehicle is not None and vehicle.holder.address != address:
+            if vehicle is not None and vehicle.holder.address not in (None, address):
                 silent_us = now_us - vehicle.holder.seen_us
                 if silent_us <= self._settings.vehicle_timeout * 1e6:
                     out.update(at)
@@ -287,6 +324,7 @@ class Session:
             round(self._settings.vehicle_timeout * 1e6),
             self._settings.persona,
         )
+        vehicle.parameters = VehicleParameters(self._make_store(vehicle))
         self.vehicles[sysid] = vehicle
         for request in self._wanted_origins:
             if request.target_system in (0, vehicle.identity.sysid):
@@ -346,7 +384,8 @@ class Session:
         if peer is None:
             return
         who = speaker.identity
-        self._transmit(frame(payload, *who, peer.next_sequence(who)), address)
+        packet = frame(payload, *who, peer.next_sequence(who))
+        self._transmit(self._seal(packet, address), address)
         self.packets_out += 1
 
     # ---- what is asked of us -----------------------------------------------------------------------------------
@@ -367,6 +406,15 @@ class Session:
                 else:
                     self._send(vehicle, reply.payload, request.address)
                     self._record(vehicle, reply.payload, request.now_us)
+
+    def _allows(self, message: Any, trusted: bool) -> bool:
+        """False for a change that will be refused."""
+        if not changes_state(message):
+            return True
+        if message.get_msgId() != PARAM_SET:
+            return trusted
+        asked = [v for v in self.vehicles.values() if is_for(message, v.identity)]
+        return trusted and not all(is_refused(message, v.parameters.store) for v in asked)
 
     def _warn(self, address: Hashable) -> None:
         """Tell a peer once that it may not change our state."""

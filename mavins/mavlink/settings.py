@@ -38,7 +38,7 @@ AS_VEHICLE: Final = {
 
 @dataclass(frozen=True, slots=True)
 class StreamSettings:
-    """Messages per second to every peer, on the vehicle's clock; 0 turns a message off, auto goes by the persona."""
+    """Messages per second to each peer; 0: off; auto: by the persona, as docs/reference/messages.md lists."""
 
     local_position_ned: Annotated[Rate, Doc("Position and velocity in n.", "Hz")] = "auto"
     attitude: Annotated[Rate, Doc("Roll, pitch, yaw and body rates.", "Hz")] = "auto"

@@ -8,6 +8,7 @@ import dataclasses
 import importlib
 import os
 import re
+import runpy
 import select
 import shlex
 import signal
@@ -24,7 +25,7 @@ import mavins
 import sitl
 from mavins import aiding, config, filters, results
 from mavins.cli.main import COMMANDS
-from mavins.mavlink import requests
+from mavins.mavlink import commands
 from mavins.mavlink.settings import StreamSettings
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -148,6 +149,14 @@ def test_the_configuration_page_is_in_step() -> None:
     )
 
 
+def test_the_parameter_page_is_in_step() -> None:
+    folder = ROOT / "docs" / "reference"
+    maker = runpy.run_path(str(folder / "make_parameters.py"))
+    assert (folder / "parameters.md").read_text(encoding="utf-8") == maker["page"](), (
+        "run: python docs/reference/make_parameters.py"
+    )
+
+
 def names_of(module: str) -> set[str]:
     """Everything that modules of this short name define."""
     return {
@@ -180,10 +189,21 @@ def test_the_columns_of_the_results_page() -> None:
 
 def test_the_rates_of_the_messages_page() -> None:
     page = (ROOT / "docs" / "reference" / "messages.md").read_text(encoding="utf-8")
-    rows = re.findall(r"^\| [A-Z_]+ \| ([\d.]+) \| `streams\.(\w+)`", page, re.MULTILINE)
-    assert {name: float(rate) for rate, name in rows} == dataclasses.asdict(StreamSettings())
-    block = page.split("is carried out for")[1].split("and rejected")[0]
-    assert {int(n) for n in re.findall(r" (\d+)", block)} == set(requests._REQUESTABLE)
+    rows = re.findall(
+        r"^\| [A-Z_]+ \| ([\d.]+) \| ([\d.]+) \| `streams\.(\w+)`", page, re.MULTILINE
+    )
+    told = {name: (float(vehicle), float(companion)) for vehicle, companion, name in rows}
+    usual = StreamSettings()
+    vehicle, companion = usual.rates("vehicle"), usual.rates("companion")
+    assert told == {name: (vehicle[name], companion[name]) for name in vehicle}
+
+
+def test_the_commands_of_the_messages_page() -> None:
+    page = (ROOT / "docs" / "reference" / "messages.md").read_text(encoding="utf-8")
+    block = page.split("| command | what it does |")[1].split("What was carried out")[0]
+    rows = re.findall(r"^\| [A-Z_]+ (\d+)( \(changes state\))? \|", block, re.MULTILINE)
+    assert {int(number) for number, _ in rows} == set(commands.HANDLERS)
+    assert {int(n) for n, changes in rows if changes} == set(commands.HANDLERS) & commands.CHANGING
 
 
 def console_lines(text: str) -> list[str]:

@@ -33,7 +33,7 @@ from mavins.mavlink.codec.encode import (
     system_time,
 )
 from mavins.mavlink.codec.fields import WIRE, Fields, fields_of, name_of
-from mavins.mavlink.codec.framing import Damage, Frames, scan, scan_tlog
+from mavins.mavlink.codec.framing import Damage, Frames, incomplete_at, scan, scan_tlog
 from mavins.mavlink.codec.messages import (
     IMU_KINDS,
     WRAPPING_IMU_KINDS,
@@ -66,6 +66,7 @@ from mavins.mavlink.codec.outputs import (
     local_position_ned,
     message_interval,
     odometry,
+    param_error,
     param_value,
     pose_covariance,
     statustext,
@@ -120,10 +121,12 @@ __all__ = [
     "highres_imu_from",
     "hil_state_quaternion",
     "home_position",
+    "incomplete_at",
     "local_position_ned",
     "message_interval",
     "name_of",
     "odometry",
+    "param_error",
     "param_value",
     "payload",
     "payload_rows",
