@@ -19,7 +19,7 @@ from mavins.documented import Doc
 from mavins.estimator.settings import Settings
 from mavins.mavlink.autopilot_settings import AutopilotOutputSettings, MonitorSettings
 from mavins.mavlink.limits import LimitSettings
-from mavins.mavlink.settings import SessionSettings, StreamSettings
+from mavins.mavlink.settings import AskingSettings, SessionSettings, StreamSettings
 from mavins.mavlink.signing import SigningSettings
 from mavins.mavlink.sources import SourceSettings
 
@@ -37,6 +37,7 @@ class Config(Settings):
     sources: SourceSettings = SourceSettings()
     streams: StreamSettings = StreamSettings()
     mavlink: SessionSettings = SessionSettings()
+    asking: AskingSettings = AskingSettings()
     limits: LimitSettings = LimitSettings()
     signing: SigningSettings = SigningSettings()
     autopilot_output: AutopilotOutputSettings = AutopilotOutputSettings()

@@ -27,6 +27,7 @@ from mavins.logs.csv_feed import feed_folder, settled
 from mavins.logs.csv_folder import read_csv_folder
 from mavins.logs.tlog import read_tlog
 from mavins.logs.truth import TruthTable, truth_of
+from mavins.mavlink.asking import SPOKEN
 from mavins.mavlink.codec import IMU_KINDS, Frames, OriginRequest, decode
 from mavins.mavlink.commands import (
     COMMAND_INT,
@@ -264,7 +265,9 @@ def our_identity(frames: Frames, sysid: int, settings: SessionSettings) -> Ident
         vehicle = int(vehicles[k])
         taken = {who.sysid for who in ours.values()}
         if vehicle not in taken or settings.persona == "companion":
-            seen = set(frames.sysid[: imu_at[first[k]] + 1].tolist())
+            before = slice(imu_at[first[k]] + 1)
+            told = ~np.isin(frames.msgid[before], SPOKEN)
+            seen = set(frames.sysid[before][told].tolist())
             ours[vehicle] = identity_for(vehicle, settings, seen, taken)
     return ours.get(sysid)
 

@@ -108,6 +108,7 @@ class Service:
             self._make_store,
             config.monitor,
             config.autopilot_output,
+            config.asking,
         )
         for address in gcs:
             self.session.add_peer(address)
@@ -268,6 +269,7 @@ class Service:
             packets_in=self.session.packets_in,
             packets_out=self.session.packets_out,
             dropped=self._dropped(),
+            remarks=self.session.asking.remarks,
             vehicles=tuple(self._vehicle_status(v, now) for v in self.session.vehicles.values()),
         )
 
@@ -279,6 +281,7 @@ class Service:
         watch.counts_before, watch.counted_at = Counter(counts), now
         estimator = vehicle.estimator
         solution = estimator.solution()
+        autopilot = self.session.asking.autopilots.get(vehicle.sysid)
         return VehicleStatus(
             sysid=vehicle.sysid,
             health=estimator.health.name.lower(),
@@ -290,6 +293,8 @@ class Service:
             reset_counter=estimator.reset_counter,
             error=watch.truth.last if solution is not None else None,
             monitor=None if vehicle.monitor is None else vehicle.monitor.status(),
+            clock_offset=None if autopilot is None else autopilot.timesync.offset,
+            round_trip=None if autopilot is None else autopilot.timesync.round_trip,
         )
 
     def close(self) -> None:
@@ -313,6 +318,7 @@ class Service:
 
     def _summary(self, vehicle: Vehicle, watch: Watch) -> dict[str, Any]:
         truth = watch.truth.summary()
+        autopilot = self.session.asking.autopilots.get(vehicle.sysid)
         return {
             "mavins": __version__,
             "filter": self._config.filter,
@@ -320,6 +326,7 @@ class Service:
             **summarize(vehicle.estimator, vehicle.intake),
             **({} if truth is None else {"truth": truth}),
             "rows": watch.writer.rows if watch.writer is not None else 0,
+            **({} if autopilot is None else {"asking": autopilot.summary()}),
             "service": {
                 "packets_in": self.session.packets_in,
                 "packets_out": self.session.packets_out,

@@ -93,8 +93,10 @@ class MonitorStatus:
 
 @dataclass(frozen=True, slots=True)
 class VehicleStatus:
-    """One vehicle: `health` is a `Health` name in lower case, `rates` are Hz by sensor; `monitor` compares the
-    autopilot's own estimate by quantity, and is None where that is not done.
+    """One vehicle: `health` is a `Health` name in lower case, `rates` are Hz by sensor.
+
+    `monitor` compares the autopilot's own estimate by quantity, and is None where that is not done; `clock_offset` is
+    our time minus the autopilot's, `round_trip` the way there and back, in s (None: not known).
     """
 
     sysid: int
@@ -107,11 +109,16 @@ class VehicleStatus:
     reset_counter: int = 0
     error: TruthError | None = None
     monitor: Mapping[str, MonitorStatus] | None = None
+    clock_offset: float | None = None
+    round_trip: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class StatusSnapshot:
-    """The service at one instant: `uptime` in s; `dropped` counts what was not used, by reason."""
+    """The service at one instant: `uptime` in s; `dropped` counts what was not used, by reason.
+
+    `remarks` say what is wrong with what autopilots send, and what to do about it.
+    """
 
     uptime: float
     peers: int
@@ -119,6 +126,7 @@ class StatusSnapshot:
     packets_out: int
     dropped: Mapping[str, int] = field(default_factory=dict)
     vehicles: tuple[VehicleStatus, ...] = ()
+    remarks: tuple[str, ...] = ()
 
 
 def to_json(snapshot: StatusSnapshot) -> str:
@@ -131,7 +139,8 @@ def from_json(line: str) -> StatusSnapshot:
     try:
         data = json.loads(line)
         vehicles = tuple(_vehicle(item) for item in data.pop("vehicles"))
-        return StatusSnapshot(**data, vehicles=vehicles)
+        remarks = tuple(data.pop("remarks"))
+        return StatusSnapshot(**data, vehicles=vehicles, remarks=remarks)
     except (TypeError, KeyError, AttributeError) as error:
         raise ValueError(f"not a status line: {error}") from None
 

@@ -8,6 +8,7 @@ import itertools
 import math
 import signal
 import sys
+import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import FrameType
@@ -68,13 +69,14 @@ def run(args: argparse.Namespace) -> int:
     from mavins.transports.base import parse_address
     from mavins.transports.udp import UdpTransport
     from sitl import scenario
-    from sitl.emitter import UNIX_AT_BOOT_US, fly, packets
+    from sitl.emitter import UNIX_AT_BOOT_US, Emitter, fly, packets
     from sitl.simulation import Simulation
 
     with contextlib.ExitStack() as stack:
         stop = stack.enter_context(_stop_signals())
         simulation = Simulation(scenario.load(args.scenario), args.seed)
-        stream = packets(simulation, args.sysid, args.compid)
+        emitter = Emitter(simulation.scenario, args.sysid, args.compid)
+        stream = packets(simulation, emitter=emitter)
         udp = log = None
         if args.udp is not None:
             udp = UdpTransport.client(*parse_address(args.udp, "127.0.0.1"))
@@ -82,19 +84,35 @@ def run(args: argparse.Namespace) -> int:
         if args.record is not None:
             log = stack.enter_context(TlogWriter(args.record))
 
+        now = (0, 0.0)
+
         def output(t_us: int, packet: bytes) -> None:
+            nonlocal now
+            now = t_us, time.monotonic()
+            send(t_us, packet)
+            listen(0.0)
+
+        def send(t_us: int, packet: bytes) -> None:
             if log is not None:
                 log.write(UNIX_AT_BOOT_US + t_us, packet)
             if udp is not None:
                 udp.send(packet)
-                udp.recv(0.0)  # what comes back is not for us, and must not fill the socket
+
+        def listen(seconds: float) -> None:
+            for data, _ in udp.recv(seconds) if udp is not None else ():
+                t_us, since = now
+                if args.speed < math.inf:
+                    t_us += round((time.monotonic() - since) * args.speed * 1e6)
+                for answer in emitter.answer(data, t_us):
+                    send(now[0], answer)  # a log's stamps never step back
 
         # the first second is made, and all kernels compiled, before the clock starts
         stream = itertools.chain([next(stream)], stream)
         if args.verbosity >= 0:
             targets = ", ".join(str(target) for target in (args.udp, args.record) if target)
             print(f"flying {args.scenario}, seed {args.seed}, to {targets}", file=sys.stderr)
-        fly(stream, output, args.duration, args.speed, lambda: bool(stop), udp is not None)
+        wait = time.sleep if udp is None else listen
+        fly(stream, output, args.duration, args.speed, lambda: bool(stop), udp is not None, wait)
     return 0
 
 

@@ -2,7 +2,8 @@
 
 HEARTBEAT and SYSTEM_TIME go out each second; HIGHRES_IMU, ATTITUDE (yaw is the magnetometer's
 heading), GPS_RAW_INT with GLOBAL_POSITION_INT of the same time (the receiver's position and NED
-velocity) and HIL_STATE_QUATERNION (the truth, for evaluation only) at their sensors' rates.
+velocity) and HIL_STATE_QUATERNION (the truth, for evaluation only) at their sensors' rates, or as they were asked
+for. Nothing that is asked changes what is measured.
 """
 
 from __future__ import annotations
@@ -12,9 +13,11 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Final
 
-from mavins.mavlink.codec import encode
+from mavins.mavlink.codec import encode, fields_of
 from mavins.types import GnssFix, HeadingFix, ImuSample
-from sitl.simulation import START_US, Event, Measurements, Simulation, stamp
+from sitl.answers import Answers, Streams
+from sitl.scenario import Scenario
+from sitl.simulation import BLOCK_US, START_US, Event, Measurements, Simulation, stamp
 
 UNIX_AT_BOOT_US: Final = 1_767_225_600_000_000
 """The simulated world's clock at boot: 2026-01-01 00:00 UTC."""
@@ -33,10 +36,12 @@ NAP: Final = 0.1
 
 
 class Emitter:
-    """Packets of one vehicle, numbered one after the other."""
+    """Packets of one vehicle, numbered one after the other: its streams and its answers."""
 
-    def __init__(self, home_alt: float, sysid: int = 1, compid: int = 1) -> None:
-        self._home_alt = home_alt
+    def __init__(self, scenario: Scenario, sysid: int = 1, compid: int = 1) -> None:
+        self._home_alt = scenario.origin.alt
+        self._streams = Streams(scenario.streams, own_intervals_us(scenario))
+        self._answers = Answers(scenario.commands, self._streams, sysid, compid)
         self._sysid = sysid
         self._compid = compid
         self._seq = 0
@@ -44,11 +49,18 @@ class Emitter:
     def packets(self, block: Measurements) -> Iterator[tuple[int, bytes]]:
         """The packets (t_us, bytes) of one second of measurements."""
         begin = int(block.imu.t_us[0])
-        yield begin, self._frame(encode.heartbeat(MAV_TYPE_QUADROTOR, MAV_AUTOPILOT_GENERIC))
-        yield begin, self._frame(encode.system_time(UNIX_AT_BOOT_US + begin, begin))
+        clock = encode.system_time(UNIX_AT_BOOT_US + begin, begin)
+        for payload in (encode.heartbeat(MAV_TYPE_QUADROTOR, MAV_AUTOPILOT_GENERIC), clock):
+            if self._streams.passes(payload.msgid, begin):
+                yield begin, self._frame(payload)
         for event in block.events():
             for payload in self._payloads(event):
-                yield stamp(event), self._frame(payload)
+                if self._streams.passes(payload.msgid, stamp(event)):
+                    yield stamp(event), self._frame(payload)
+
+    def answer(self, data: bytes, boot_us: int) -> list[bytes]:
+        """The packets that a datagram is answered with."""
+        return [self._frame(payload) for payload in self._answers.to(data, boot_us)]
 
     def _payloads(self, event: Event) -> Sequence[encode.Payload]:
         if isinstance(event, ImuSample):
@@ -72,9 +84,25 @@ class Emitter:
         return packet
 
 
-def packets(simulation: Simulation, sysid: int = 1, compid: int = 1) -> Iterator[tuple[int, bytes]]:
+def own_intervals_us(scenario: Scenario) -> dict[int, int]:
+    """Message id -> the interval of its sensor in us."""
+    rates = {
+        "HEARTBEAT": 1,
+        "SYSTEM_TIME": 1,
+        "HIGHRES_IMU": scenario.imu.rate,
+        "ATTITUDE": scenario.heading.rate,
+        "GPS_RAW_INT": scenario.gnss.rate,
+        "GLOBAL_POSITION_INT": scenario.gnss.rate,
+        "HIL_STATE_QUATERNION": scenario.truth_rate,
+    }
+    return {fields_of(name).msgid: BLOCK_US // rate for name, rate in rates.items()}
+
+
+def packets(
+    simulation: Simulation, sysid: int = 1, compid: int = 1, emitter: Emitter | None = None
+) -> Iterator[tuple[int, bytes]]:
     """All packets (t_us, bytes) of a simulation, without end."""
-    emitter = Emitter(simulation.scenario.origin.alt, sysid, compid)
+    emitter = emitter or Emitter(simulation.scenario, sysid, compid)
     for block in simulation.blocks():
         yield from emitter.packets(block)
 
@@ -86,11 +114,12 @@ def fly(
     speed: float = 1.0,
     stopped: Callable[[], bool] = lambda: False,
     breathe: bool = True,
+    wait: Callable[[float], None] = time.sleep,
 ) -> None:
     """Give the stream's first `duration` s to `output` at `speed` times real time until `stopped`.
 
     An infinite speed does not wait; with `breathe` it pauses now and then for a receiver that must
-    keep up.
+    keep up. `wait` passes up to so many seconds.
     """
     begin = time.monotonic()
     end_us = START_US + duration * 1e6
@@ -99,7 +128,7 @@ def fly(
             return
         due = begin + (t_us - START_US) / 1e6 / speed
         while not stopped() and (delay := due - time.monotonic()) > 0.0:
-            time.sleep(min(delay, NAP))
+            wait(min(delay, NAP))
         if stopped():
             return
         output(t_us, packet)

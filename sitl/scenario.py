@@ -19,6 +19,7 @@ from pydantic_core import ErrorDetails
 from mavins.errors import ScenarioError
 from mavins.types import Origin
 from sitl import plan, trajectory
+from sitl.answers import Commands, StreamSettings
 from sitl.gnss import GnssSettings
 from sitl.heading import HeadingSettings
 from sitl.imu import ImuSettings
@@ -52,7 +53,10 @@ class OriginSettings(Settings):
 
 @dataclass(frozen=True, slots=True)
 class Scenario(Settings):
-    """A motion at a place, and the sensors that see it; the truth is sampled at `truth_rate` Hz."""
+    """A motion at a place, and the sensors that see it; the truth is sampled at `truth_rate` Hz.
+
+    `streams` are the messages that are sent at the start, `commands` says what comes of those that ask for others.
+    """
 
     origin: OriginSettings
     motion: Motion
@@ -61,6 +65,8 @@ class Scenario(Settings):
     gnss: GnssSettings = field(default_factory=GnssSettings)
     heading: HeadingSettings = field(default_factory=HeadingSettings)
     truth_rate: Rate = 50
+    streams: StreamSettings = field(default_factory=StreamSettings)
+    commands: Commands = "accept"
 
     def trajectory(self) -> Trajectory:
         """The true motion; built once for equal scenarios."""

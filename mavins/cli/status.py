@@ -119,11 +119,12 @@ class _Panel:
 
 
 def to_plain(snapshot: StatusSnapshot) -> str:
-    """One line (one for each vehicle, where there are several)."""
+    """One line (one for each vehicle, where there are several), and one for each remark."""
     head = f"{snapshot.uptime:6.0f} s"
-    if not snapshot.vehicles:
-        return f"{head}  waiting for a vehicle's IMU; {_traffic(snapshot)}"
-    return "\n".join(f"{head}  {_plain_vehicle(vehicle)}" for vehicle in snapshot.vehicles)
+    lines = [_plain_vehicle(vehicle) for vehicle in snapshot.vehicles]
+    if not lines:
+        lines = [f"waiting for a vehicle's IMU; {_traffic(snapshot)}"]
+    return "\n".join(f"{head}  {line}" for line in (*lines, *snapshot.remarks))
 
 
 def _plain_biases(estimate: EstimateStatus) -> list[str]:
@@ -164,6 +165,8 @@ def _plain_vehicle(vehicle: VehicleStatus) -> str:
         parts.append(f"error {_error(vehicle)}")
     if vehicle.monitor:
         parts.append(_autopilot(vehicle.monitor))
+    if vehicle.round_trip is not None:
+        parts.append(_clock(vehicle))
     return " | ".join(parts)
 
 
@@ -192,6 +195,14 @@ def rejected_total(vehicle: VehicleStatus) -> int:
 def _health(vehicle: VehicleStatus) -> str:
     health = vehicle.health.replace("_", " ")
     return f"{health} ({vehicle.reason})" if vehicle.reason else health
+
+
+def _clock(vehicle: VehicleStatus) -> str:
+    assert vehicle.clock_offset is not None
+    assert vehicle.round_trip is not None
+    return (
+        f"clock offset {vehicle.clock_offset:.4f} s, round trip {vehicle.round_trip * 1e3:.1f} ms"
+    )
 
 
 def _traffic(snapshot: StatusSnapshot) -> str:
@@ -250,6 +261,8 @@ def to_panel(snapshot: StatusSnapshot) -> RenderableType:
     body = Text("\n\n").join(_panel_vehicle(vehicle) for vehicle in snapshot.vehicles)
     if not snapshot.vehicles:
         body = Text("waiting for a vehicle's IMU", style="yellow")
+    for remark in snapshot.remarks:
+        body.append(f"\n{remark}", style="yellow")
     return Panel(
         body,
         title=f"mavins  {snapshot.uptime:.0f} s",
@@ -275,7 +288,10 @@ def _panel_vehicle(vehicle: VehicleStatus) -> Text:
     if vehicle.monitor:
         _append_monitor(text, vehicle.monitor)
     rates = "   ".join(f"{name} {rate:.0f} Hz" for name, rate in vehicle.rates.items())
-    return text.append(f"\n{rates}   resets {vehicle.reset_counter}", style="dim")
+    text.append(f"\n{rates}   resets {vehicle.reset_counter}", style="dim")
+    if vehicle.round_trip is not None:
+        text.append(f"\n{_clock(vehicle)}", style="dim")
+    return text
 
 
 def _append_estimate(text: Text, estimate: EstimateStatus, error: TruthError | None) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Hashable, Iterator
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 
 class Identity(NamedTuple):
@@ -13,6 +13,12 @@ class Identity(NamedTuple):
 
     sysid: int
     compid: int
+
+
+class Speaker(Protocol):
+    """What we speak about, and under which ids."""
+
+    identity: Identity
 
 
 @dataclass(slots=True)

@@ -16,6 +16,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 
 from mavins.estimator.estimator import Estimator
+from mavins.mavlink.asking import SPOKEN, Asking
 from mavins.mavlink.autopilot_output import AutopilotOutput
 from mavins.mavlink.autopilot_settings import AutopilotOutputSettings, MonitorSettings
 from mavins.mavlink.codec import (
@@ -39,7 +40,7 @@ from mavins.mavlink.parameters import (
     VehicleParameters,
     is_refused,
 )
-from mavins.mavlink.peers import Identity, Peer, Peers
+from mavins.mavlink.peers import Identity, Peer, Peers, Speaker
 from mavins.mavlink.requests import (
     BY_MSGID,
     MICROSERVICES,
@@ -50,7 +51,7 @@ from mavins.mavlink.requests import (
     is_for,
 )
 from mavins.mavlink.router import Router
-from mavins.mavlink.settings import SessionSettings, StreamSettings
+from mavins.mavlink.settings import AskingSettings, SessionSettings, StreamSettings
 from mavins.mavlink.signing import Verdict, unsigned, without_secrets
 from mavins.mavlink.sources import ARDUPILOT, PX4, SourceSettings
 from mavins.mavlink.vehicle import Due, Holder, Vehicle
@@ -113,6 +114,7 @@ class Session:
         make_store: Callable[[Vehicle], ParameterStore | None] = lambda vehicle: None,
         monitor: MonitorSettings | None = None,
         output: AutopilotOutputSettings | None = None,
+        asking: AskingSettings | None = None,
     ) -> None:
         self.vehicles: dict[int, Vehicle] = {}
         self.dropped: Counter[str] = Counter()
@@ -136,6 +138,11 @@ class Session:
         # a service sends each packet as soon as it is made; without one they wait for `datagrams`
         self._transmit = transmit or (lambda data, address: self._out.append((data, address)))
         self._router = Router() if settings.route else None
+        self.asking = Asking(
+            asking or AskingSettings(enabled=False),
+            settings.max_vehicles,
+            round(settings.vehicle_timeout * 1e6),
+        )
         self._seen_sysids: set[int] = set()
         self._wanted_origins: list[OriginRequest] = []
 
@@ -178,6 +185,8 @@ class Session:
                 self._transmit(packet, to)
                 self.packets_routed += 1
         msgids, sysids = frames.msgid.tolist(), frames.sysid.tolist()
+        if self.asking.lone or not self.asking.heard.isdisjoint(msgids):
+            self.asking.take(frames, address, now_us, self.vehicles, self._identity)
         requests = {i: decode_packet(frames, i) for i, n in enumerate(msgids) if n in REQUESTS}
         trusted = self._settings.allow_remote_config or signed or self._is_local(address)
         # a recording holds only requests that were carried out, so that a replay may carry them out again
@@ -229,6 +238,10 @@ class Session:
                 for address, payload in service.tick(now_us, vehicle):
                     self._send(vehicle, payload, address)
                     self._record(vehicle, payload, now_us)
+        for said in self.asking.tick(now_us, self.vehicles, self._identity):
+            for address in self.peers if said.to_all else (said.autopilot.address,):
+                self._send(said.autopilot, said.payload, address)
+            self._record(said.autopilot, said.payload, now_us)
         for address in self.peers.expire(now_us):
             self._forget(address)
 
@@ -255,7 +268,12 @@ class Session:
             return frames
         ours = {vehicle.identity for vehicle in self.vehicles.values()}
         taken = {who.sysid for who in ours if who.sysid not in self.vehicles}
-        echo = [i for i, who in enumerate(zip(sysids, compids, strict=True)) if who in ours]
+        msgids = frames.msgid.tolist()
+        echo = [
+            i
+            for i, who in enumerate(zip(sysids, compids, strict=True))
+            if who in ours or self.asking.is_echo(who, msgids[i])
+        ]
         if echo:
             out.update(echo)
             self.dropped["our own packets"] += len(echo)
@@ -268,8 +286,9 @@ class Session:
                     out.update(at)
                     self.dropped[f"sysid {sysid} from another address"] += len(at)
                     continue
-            self._seen_sysids.add(sysid)
-            if vehicle is None and any(int(frames.msgid[i]) in IMU_KINDS for i in at):
+            if any(msgids[i] not in SPOKEN for i in at):
+                self._seen_sysids.add(sysid)
+            if vehicle is None and any(msgids[i] in IMU_KINDS for i in at):
                 vehicle = self._new_vehicle(sysid, address, now_us)
             if vehicle is not None:
                 vehicle.holder = Holder(address, now_us)
@@ -369,16 +388,16 @@ class Session:
             if v.intake.autopilot in (ARDUPILOT, PX4)
         }
 
-    def _record(self, vehicle: Vehicle, payload: Payload, now_us: int) -> None:
+    def _record(self, speaker: Speaker, payload: Payload, now_us: int) -> None:
         if self._recorder is not None:
-            who = vehicle.identity
+            who = speaker.identity
             self._recorder.write(now_us, frame(payload, *who, self._recorded.next_sequence(who)))
 
-    def _send(self, vehicle: Vehicle, payload: Payload, address: Hashable) -> None:
+    def _send(self, speaker: Speaker, payload: Payload, address: Hashable) -> None:
         peer = self.peers.get(address)
         if peer is None:
             return
-        who = vehicle.identity
+        who = speaker.identity
         packet = frame(payload, *who, peer.next_sequence(who))
         self._transmit(self._seal(packet, address), address)
         self.packets_out += 1

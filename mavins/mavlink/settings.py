@@ -125,3 +125,23 @@ class SessionSettings:
     max_vehicles: Annotated[
         int, Ge(1), Le(250), Doc("More vehicles than this are not taken up.")
     ] = 16
+
+
+WishedRate = Annotated[float, Ge(0), Le(1000)]
+
+
+@dataclass(frozen=True, slots=True)
+class AskingSettings:
+    """What an autopilot is asked for where less of it comes; a rate of 0: it is not asked."""
+
+    enabled: Annotated[
+        bool,
+        Doc("Ask autopilots for the messages below (SET_MESSAGE_INTERVAL) and for their time."),
+    ] = True
+    imu_rate: Annotated[WishedRate, Doc("HIGHRES_IMU, or the IMU message that is used.", "Hz")] = (
+        200.0
+    )
+    gnss_rate: Annotated[WishedRate, Doc("GPS_RAW_INT.", "Hz")] = 5.0
+    attitude_rate: Annotated[WishedRate, Doc("ATTITUDE.", "Hz")] = 10.0
+    position_rate: Annotated[WishedRate, Doc("GLOBAL_POSITION_INT.", "Hz")] = 5.0
+    system_time_rate: Annotated[WishedRate, Doc("SYSTEM_TIME.", "Hz")] = 1.0

@@ -53,6 +53,12 @@ NAMES: Final[dict[str, str | tuple[str, ...]]] = {
     "heading.gate": "HDG_GATE",
     "heading.from_motion": "HDG_FROM_MOTION",
     "zero_velocity.enabled": "ZUPT_ENABLE",
+    "zero_velocity.detector": "ZUPT_DETECTOR",
+    "zero_velocity.rate": "ZUPT_RATE",
+    "zero_velocity.window": "ZUPT_WINDOW",
+    "zero_velocity.threshold": "ZUPT_THRESHOLD",
+    "zero_velocity.sigma_accel": "ZUPT_ACCEL_SIG",
+    "zero_velocity.sigma_gyro": "ZUPT_GYRO_SIG",
     "zero_velocity.sigma": "ZUPT_SIGMA",
     "zero_velocity.rate_sigma": "ZUPT_RATE_SIGMA",
     "zero_velocity.gate": "ZUPT_GATE",
@@ -63,6 +69,14 @@ NAMES: Final[dict[str, str | tuple[str, ...]]] = {
     "states.lever_arm_sigma": "STATE_ARM_SIGMA",
     "states.gnss_delay": "STATE_DELAY",
     "states.gnss_delay_sigma": "STATE_DELAY_SIG",
+    "states.baro_bias": "STATE_BARO",
+    "states.baro_bias_sigma": "STATE_BARO_SIG",
+    "states.baro_bias_walk": "STATE_BARO_WALK",
+    "states.mag_bias": "STATE_MAG",
+    "states.mag_bias_sigma": "STATE_MAG_SIG",
+    "states.mag_bias_walk": "STATE_MAG_WALK",
+    "states.gravity": "STATE_GRAVITY",
+    "states.gravity_sigma_deg": "STATE_GRAV_SIG",
     "magnetometer.enabled": "MAG_ENABLE",
     "magnetometer.delay": "MAG_DELAY",
     "magnetometer.max_rate": "MAG_RATE_MAX",
@@ -127,6 +141,23 @@ NAMES: Final[dict[str, str | tuple[str, ...]]] = {
     "mavlink.vehicle_timeout": "MAV_VEH_TIMEOUT",
     "mavlink.max_peers": "MAV_PEERS_MAX",
     "mavlink.max_vehicles": "MAV_VEHICLES_MAX",
+    "asking.enabled": "ASK_ENABLE",
+    "asking.imu_rate": "ASK_IMU",
+    "asking.gnss_rate": "ASK_GNSS",
+    "asking.attitude_rate": "ASK_ATTITUDE",
+    "asking.position_rate": "ASK_POSITION",
+    "asking.system_time_rate": "ASK_SYSTEM_TIME",
+    "autopilot_output.output": "OUT_MESSAGE",
+    "autopilot_output.rate": "OUT_RATE",
+    "autopilot_output.gps_id": "OUT_GPS_ID",
+    "monitor.enabled": "MON_ENABLE",
+    "monitor.sigmas": "MON_SIGMAS",
+    "monitor.after": "MON_AFTER",
+    "monitor.position": "MON_POSITION",
+    "monitor.height": "MON_HEIGHT",
+    "monitor.velocity": "MON_VELOCITY",
+    "monitor.tilt_deg": "MON_TILT",
+    "monitor.yaw_deg": "MON_YAW",
 }
 """Dotted path -> the parameter's name, or one for each component of a vector."""
 
@@ -137,7 +168,13 @@ EXCLUDED: Final = {
 }
 """Dotted paths, or sections, that are no parameters, and why."""
 
-NEEDS_RESTART: Final = {**FIXED, "mavlink": "the session is shared by all vehicles"}
+NEEDS_RESTART: Final = {
+    **FIXED,
+    "mavlink": "the session is shared by all vehicles",
+    "asking": "an autopilot is asked when it is first heard",
+    "autopilot_output": "what an autopilot is given is settled when it is first heard",
+    "monitor": "its limits hold for a whole flight",
+}
 """Dotted paths, or sections, that a change reaches at the next start only, and why."""
 
 

@@ -67,6 +67,23 @@ def test_plain_is_one_line_with_everything_that_matters() -> None:
         assert part in line
 
 
+def test_what_an_autopilot_does_not_send_is_told() -> None:
+    remark = "autopilot 1 does not answer SET_MESSAGE_INTERVAL"
+    bare = StatusSnapshot(3.0, 1, 20, 5, remarks=(remark,))
+    assert to_plain(bare).splitlines()[1] == f"     3 s  {remark}"
+    assert "does not answer" in to_svg(bare).replace("&#160;", " ")
+    assert from_json(to_json(bare)) == bare
+
+
+def test_the_autopilots_clock_is_shown() -> None:
+    vehicle = dataclasses.replace(VEHICLE, clock_offset=1790000000.25, round_trip=0.0031)
+    snapshot = dataclasses.replace(SNAPSHOT, vehicles=(vehicle,))
+    told = "clock offset 1790000000.2500 s, round trip 3.1 ms"
+    assert told in to_plain(snapshot)
+    assert told in to_svg(snapshot).replace("&#160;", " ")
+    assert from_json(to_json(snapshot)) == snapshot
+
+
 def test_plain_without_a_vehicle_says_what_is_waited_for() -> None:
     line = to_plain(StatusSnapshot(3.0, 1, 20, 5))
     assert line == "     3 s  waiting for a vehicle's IMU; 1 peer, 20 packets in, 5 out"
