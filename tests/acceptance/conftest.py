@@ -182,10 +182,25 @@ class Tap:
         """What the service sent to this client, all of it or one kind."""
         return [h for h in self._messages(self.answered) if kind in (None, h[1].get_type())]
 
+    def wait_until(self, true: Callable[[Tap], bool], limit: float = 8.0) -> None:
+        """Wait until something holds of what has passed."""
+        end = time.monotonic() + limit
+        while not true(self):
+            assert time.monotonic() < end, self.from_client()[-5:]
+            time.sleep(0.1)
+
     def lost(self) -> int:
         """How many packets of the service are missing by their sequence numbers."""
         numbers = [message.get_seq() for _, message in self.from_service()]
         return sum((b - a - 1) % 256 for a, b in itertools.pairwise(numbers))
+
+    def not_taken(self) -> int:
+        """How many datagrams the client left in its socket until the kernel threw them away."""
+        table = Path("/proc/net/udp")
+        lines = table.read_text().splitlines()[1:] if table.exists() else []
+        rows = [line.split() for line in lines]
+        mine = f":{self._client[1]:04X}"
+        return sum(int(row[-1]) for row in rows if row[1].endswith(mine))
 
     def requests(self) -> Counter[tuple[Any, ...]]:
         """How often the client asked for the same thing."""

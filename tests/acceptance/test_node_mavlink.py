@@ -49,7 +49,7 @@ def capture(port: int) -> bytes:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4 << 20)
         sock.connect(("127.0.0.1", port))
-        sock.settimeout(1.0)
+        sock.settimeout(10.0)
         sock.send(dialect.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(link))
         for msgid in MSGIDS:
             command = dialect.MAVLink_command_long_message(
