@@ -17,7 +17,9 @@ from typing import Annotated, Any, Literal
 from mavins import __version__, typed_settings, yaml_text
 from mavins.documented import Doc
 from mavins.estimator.settings import Settings
+from mavins.mavlink.limits import LimitSettings
 from mavins.mavlink.settings import SessionSettings, StreamSettings
+from mavins.mavlink.signing import SigningSettings
 from mavins.mavlink.sources import SourceSettings
 
 FilterName = Literal["eskf", "euler_ekf", "iekf", "ieskf", "srcdkf"]
@@ -34,6 +36,8 @@ class Config(Settings):
     sources: SourceSettings = SourceSettings()
     streams: StreamSettings = StreamSettings()
     mavlink: SessionSettings = SessionSettings()
+    limits: LimitSettings = LimitSettings()
+    signing: SigningSettings = SigningSettings()
 
 
 def load(path: Path | str | None = None, overrides: Mapping[str, Any] | None = None) -> Config:

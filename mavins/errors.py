@@ -23,3 +23,7 @@ class OutputError(MavinsError):
 
 class ScenarioError(MavinsError):
     """A simulator scenario is unknown or does not make sense."""
+
+
+class KeyFileError(MavinsError):
+    """A signing key, or the timestamps beside it, cannot be used as they are; the message never holds the key."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import select
+import selectors
 import time
 from collections import Counter
 from collections.abc import Callable, Hashable, Sequence
@@ -15,15 +15,19 @@ from mavins import __version__
 from mavins.config import Config, to_yaml
 from mavins.estimator.estimator import Estimator, Outputs
 from mavins.evaluation.live import HIL_STATE, LiveTruth
-from mavins.logs.tlog import TlogWriter
+from mavins.logs.recording import Recording
+from mavins.mavlink.codec import Frames
+from mavins.mavlink.limits import Gate, may_change
 from mavins.mavlink.session import Session
+from mavins.mavlink.signing import Verdict, takes_unsigned
+from mavins.mavlink.stream_buffer import StreamBuffer
 from mavins.mavlink.vehicle import Vehicle
 from mavins.replay import grid_us, summarize
 from mavins.results import ResultWriter, check_folder, write_json, write_text
+from mavins.signing_store import Signing
 from mavins.snapshot import aiding_status, estimate_status
 from mavins.status import StatusSnapshot, VehicleStatus
-from mavins.transports.base import Transport
-from mavins.transports.udp import UdpTransport
+from mavins.transports.base import Link
 
 TICK_S: Final = 0.05
 STATUS_S: Final = 1.0
@@ -34,8 +38,11 @@ Address = tuple[int, str, int]
 
 
 def is_local(address: Hashable) -> bool:
-    """True for an address on this host."""
-    return isinstance(address, tuple) and str(address[1]).startswith("127.")
+    """True for an address on this host; a socket of both families writes IPv4 as ::ffff:127.0.0.1."""
+    if not isinstance(address, tuple):
+        return False
+    host = str(address[1])
+    return host.removeprefix("::ffff:").startswith("127.") or host == "::1"
 
 
 def check_outputs(config: Config, out: Path | None, record: Path | None) -> None:
@@ -63,50 +70,57 @@ class Service:
     def __init__(
         self,
         config: Config,
-        links: Sequence[UdpTransport],
-        gcs: Sequence[tuple[str, int]] = (),
+        links: Sequence[Link],
+        gcs: Sequence[Address] = (),
         out: Path | None = None,
-        record: Path | None = None,
+        recording: Recording | None = None,
         status: Callable[[StatusSnapshot], None] | None = None,
+        signing: Signing | None = None,
     ) -> None:
         self._config = config
-        self._links: Sequence[Transport] = links
+        self._links = links
+        self._trusted = {index for index, link in enumerate(links) if link.trusted}
+        self._buffers: dict[Address, StreamBuffer] = {}
         self._out = out
         self._status = status
         self._watches: dict[int, Watch] = {}
-        self._recorder = TlogWriter(record) if record is not None else None
+        self._recorder = recording
+        self._signing = signing
+        self._signers = [] if signing is None else [signing.signer(k) for k in range(len(links))]
         self._unix_offset_us = time.time_ns() // 1000 - time.monotonic_ns() // 1000
         self._started = time.monotonic()
         self._cpu_started = time.process_time()
+        self._gate = Gate(config.limits, self._now_us())
         self.session = Session(
             config.mavlink,
             config.streams,
             config.sources,
             self._make_estimator,
-            is_local,
+            self._may_change,
             self._recorder,
             self._transmit,
+            *(() if signing is None else (self._verify, self._seal)),
         )
-        for host, port in gcs:
-            self.session.add_peer((0, host, port))
+        for address in gcs:
+            self.session.add_peer(address)
+        for index, link in enumerate(links):
+            for host, port in link.peers:
+                self.session.add_peer((index, host, port))
 
     def run(self, stopped: Callable[[], bool]) -> None:
         """Serve until `stopped()`; then close every file whole."""
-        poller = select.poll()
-        by_fd = {}
-        for index, link in enumerate(self._links):
-            assert isinstance(link, UdpTransport)
-            poller.register(link.fileno(), select.POLLIN)
-            by_fd[link.fileno()] = index
         next_tick = next_status = time.monotonic()
+        selector = selectors.DefaultSelector()
         try:
+            for index, link in enumerate(self._links):
+                selector.register(link.fileno(), selectors.EVENT_READ, index)
             while not stopped():
-                for fd, _ in poller.poll(max(0.0, next_tick - time.monotonic()) * 1e3):
-                    self._drain(by_fd[fd])
+                for key, _ in selector.select(max(0.0, next_tick - time.monotonic())):
+                    self._drain(key.data)
                 now = time.monotonic()
                 if now >= next_tick:
                     next_tick = now + TICK_S
-                    self.session.tick(self._now_us())
+                    self._tick()
                     self._write_rows()
                 if now >= next_status:
                     next_status = now + STATUS_S
@@ -114,20 +128,85 @@ class Service:
                     if self._status is not None:
                         self._status(self.snapshot(now))
         finally:
+            selector.close()
             self.close()
+
+    def _tick(self) -> None:
+        """What is due by the clock."""
+        for link in self._links:
+            link.tick()
+        now_us = self._now_us()
+        for address, buffer in self._buffers.items():
+            if packets := buffer.overdue(now_us):
+                self._take(packets, address, now_us)
+        self.session.tick(now_us)
+        vehicles = [vehicle.holder.address for vehicle in self.session.vehicles.values()]
+        self._gate.know(vehicles, self.session.peers, now_us)
+        for index, link in enumerate(self._links):
+            link.prefer([a[1:] for a in vehicles if isinstance(a, tuple) and a[0] == index])
 
     def _now_us(self) -> int:
         """Microseconds since 1970 that never step back."""
         return self._unix_offset_us + time.monotonic_ns() // 1000
 
     def _drain(self, index: int) -> None:
-        """Take every datagram that waits at a link, answering after each."""
-        for data, (host, port) in self._links[index].recv(0.0):
-            frames = self.session.receive(data, (index, host, port), self._now_us())
-            if HIL_STATE not in frames.msgid:
-                continue
-            for sysid, vehicle in self.session.vehicles.items():
-                self._watches[sysid].truth.take(frames, sysid, vehicle.estimator.solution())
+        """Take all that waits at a link, answering after each datagram."""
+        link = self._links[index]
+        for data, (host, port) in link.recv(0.0):
+            address, now_us = (index, host, port), self._now_us()
+            if not link.is_stream:
+                if self._gate.admits(data, address, host, now_us):
+                    self._take(data, address, now_us)
+            elif data:
+                buffer = self._buffers.setdefault(address, StreamBuffer())
+                if packets := buffer.push(data, now_us):
+                    self._take(packets, address, now_us)
+            else:
+                self._hang_up(address, now_us)
+
+    def _hang_up(self, address: Address, now_us: int) -> None:
+        """A stream ended: what it left is all that there will be."""
+        buffer = self._buffers.pop(address, None)
+        if buffer is not None and (rest := buffer.rest()):
+            self._take(rest, address, now_us)
+        self.session.hang_up(address)
+
+    def _take(self, data: bytes, address: Address, now_us: int) -> None:
+        """Hand packets to the session, and the truth among them to those who judge."""
+        frames = self.session.receive(data, address, now_us)
+        if HIL_STATE not in frames.msgid:
+            return
+        for sysid, vehicle in self.session.vehicles.items():
+            self._watches[sysid].truth.take(frames, sysid, vehicle.estimator.solution())
+
+    def _may_change(self, address: Hashable) -> bool:
+        """True for who may change the state: programs of this host, and lines that the user trusts."""
+        if not isinstance(address, tuple):
+            return False
+        return address[0] in self._trusted or may_change(str(address[1]), allow_remote=False)
+
+    def _verify(self, frames: Frames, address: Hashable) -> Verdict:
+        """Which packets may come in, by their signatures."""
+        assert self._signing is not None
+        takes = takes_unsigned(self._config.signing.unsigned, self._may_change(address))
+        return self._signing.verifier.check(frames, takes)
+
+    def _seal(self, packet: bytes, address: Hashable) -> bytes:
+        """A packet of ours with its signature."""
+        assert isinstance(address, tuple)
+        return self._signers[address[0]].sign(packet)
+
+    def _dropped(self) -> dict[str, int]:
+        """What was not used and not sent, by reason."""
+        dropped = Counter(self.session.dropped)
+        dropped.update(self._gate.dropped)
+        for link in self._links:
+            dropped.update(link.dropped)
+        if self._recorder is not None:
+            dropped["not recorded"] += self._recorder.lost
+        if self._signing is not None:
+            dropped["signing timestamps not saved"] += self._signing.save_errors
+        return {reason: n for reason, n in dropped.items() if n}
 
     def _transmit(self, data: bytes, address: Hashable) -> None:
         assert isinstance(address, tuple)
@@ -161,6 +240,8 @@ class Service:
                 watch.writer.flush()
         if self._recorder is not None:
             self._recorder.flush()
+        if self._signing is not None:
+            self._signing.keep(self._now_us())
 
     def snapshot(self, now: float) -> StatusSnapshot:
         """The service as the live status shows it."""
@@ -169,7 +250,7 @@ class Service:
             peers=len(self.session.peers),
             packets_in=self.session.packets_in,
             packets_out=self.session.packets_out,
-            dropped={k: v for k, v in self.session.dropped.items() if v},
+            dropped=self._dropped(),
             vehicles=tuple(self._vehicle_status(v, now) for v in self.session.vehicles.values()),
         )
 
@@ -198,6 +279,8 @@ class Service:
         with contextlib.ExitStack() as stack:
             for link in self._links:
                 stack.callback(link.close)
+            if self._signing is not None:
+                stack.callback(self._signing.close)
             if self._recorder is not None:
                 stack.callback(self._recorder.close)
             for sysid, watch in self._watches.items():
@@ -222,7 +305,7 @@ class Service:
             "service": {
                 "packets_in": self.session.packets_in,
                 "packets_out": self.session.packets_out,
-                "dropped": dict(self.session.dropped),
+                "dropped": self._dropped(),
             },
             "wall_s": time.monotonic() - self._started,
             "cpu_s": time.process_time() - self._cpu_started,

@@ -26,6 +26,7 @@ from mavins.mavlink.codec import (
     heartbeat,
     highres_imu,
     hil_state_quaternion,
+    incomplete_at,
     scan_tlog,
 )
 from mavins.mavlink.session import Session
@@ -142,6 +143,7 @@ def _fly(filter_name: str, report: Report) -> None:
             report(f"  {stage}")
     estimator.finish()
     scan_tlog(b"")
+    incomplete_at(b"")
 
 
 def _results(filter_name: str, report: Report) -> None:

@@ -7,16 +7,18 @@ told by content.
 
 from __future__ import annotations
 
+import contextlib
 import gzip
 import io
 import lzma
+import os
 import zlib
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Final
 
 from mavins.errors import LogFormatError, OutputError
-from mavins.mavlink.codec.framing import Frames, scan_tlog
+from mavins.mavlink.codec.framing import STAMP_LENGTH, Frames, scan_tlog
 
 _BUFFER: Final = 1 << 16
 _OTHER_FORMATS: Final = {
@@ -28,7 +30,7 @@ _OTHER_FORMATS: Final = {
 
 class TlogWriter:
     """Writes packets with their reception stamps. Records go out whole: a reader never sees half a
-    one.
+    one, and a disk that fills up in the midst of them is left with those that are whole.
 
     Give it a path, which it opens and closes, or an open binary file, which it only flushes.
     """
@@ -36,6 +38,7 @@ class TlogWriter:
     def __init__(self, target: str | Path | IO[bytes]) -> None:
         self._owned = isinstance(target, str | Path)
         self._buffer = bytearray()
+        self._pending = 0
         self._file: IO[bytes]
         if isinstance(target, str | Path):
             try:
@@ -47,20 +50,38 @@ class TlogWriter:
 
     def write(self, t_us: int, packet: bytes) -> None:
         """Append one packet received at `t_us` (integer microseconds)."""
-        self._buffer += t_us.to_bytes(8, "big")
+        self._buffer += t_us.to_bytes(STAMP_LENGTH, "big")
         self._buffer += packet
+        self._pending += 1
         if len(self._buffer) >= _BUFFER:
             self.flush()
 
     def flush(self) -> None:
-        """Hand everything written so far to the operating system."""
-        pending = memoryview(bytes(self._buffer))
-        self._buffer.clear()
+        """Hand everything written so far to the operating system; OutputError leaves it pending."""
+        if not self._buffer:
+            return
+        rest = memoryview(bytes(self._buffer))
         try:
-            while pending:
-                pending = pending[self._file.write(pending) or 0 :]
+            while rest:
+                rest = rest[self._file.write(rest) or 0 :]
         except OSError as error:
+            self._take_back(len(self._buffer) - len(rest))
             raise OutputError(f"cannot write the log: {error.strerror}") from error
+        self._buffer.clear()
+        self._pending = 0
+
+    def discard(self) -> int:
+        """Drop what is pending; returns how many packets that were."""
+        dropped, self._pending = self._pending, 0
+        self._buffer.clear()
+        return dropped
+
+    def _take_back(self, written: int) -> None:
+        """Cut off the part of the pending records that went out, so that no half record stays."""
+        if written:
+            with contextlib.suppress(OSError):
+                self._file.seek(-written, os.SEEK_CUR)
+                self._file.truncate()
 
     def close(self) -> None:
         """Flush, and close the file if it was opened here; further calls do nothing."""

@@ -76,6 +76,14 @@ class Peers:
         self._peers[address] = Peer(now_us)
         return True
 
+    def drop(self, address: Hashable) -> bool:
+        """Forget a peer whose connection ended, unless it was named; True if it is gone."""
+        peer = self._peers.get(address)
+        if peer is None or peer.seen_us is None:
+            return False
+        del self._peers[address]
+        return True
+
     def expire(self, now_us: int) -> list[Hashable]:
         """Forget those that have been silent for too long; returns their addresses."""
         gone = [

@@ -42,6 +42,7 @@ from mavins.mavlink.requests import (
 )
 from mavins.mavlink.router import Router
 from mavins.mavlink.settings import SessionSettings, StreamSettings
+from mavins.mavlink.signing import Verdict, unsigned, without_secrets
 from mavins.mavlink.sources import ARDUPILOT, PX4, SourceSettings
 from mavins.mavlink.vehicle import Due, Holder, Vehicle
 from mavins.types import Origin
@@ -98,6 +99,8 @@ class Session:
         is_local: Callable[[Hashable], bool] = lambda address: True,
         recorder: Recorder | None = None,
         transmit: Callable[[bytes, Hashable], None] | None = None,
+        verify: Callable[[Frames, Hashable], Verdict] | None = None,
+        seal: Callable[[bytes, Hashable], bytes] = lambda packet, address: packet,
     ) -> None:
         self.vehicles: dict[int, Vehicle] = {}
         self.dropped: Counter[str] = Counter()
@@ -112,6 +115,8 @@ class Session:
         self._is_local = is_local
         self._recorder = recorder
         self._recorded = Peer(None)
+        self._verify = verify
+        self._seal = seal
         self._out: list[tuple[bytes, Hashable]] = []
         # a service sends each packet as soon as it is made; without one they wait for `datagrams`
         self._transmit = transmit or (lambda data, address: self._out.append((data, address)))
@@ -123,14 +128,34 @@ class Session:
         """A peer that receives without having sent."""
         self.peers.name(address)
 
+    def hang_up(self, address: Hashable) -> None:
+        """The connection with an address ended: no more goes there, and others may speak for its vehicles at once.
+
+        A peer that was named by the user stays: the connection may come back.
+        """
+        if self.peers.drop(address):
+            self._forget(address)
+        for vehicle in self.vehicles.values():
+            if vehicle.holder.address == address:
+                vehicle.holder.address = None
+
     def receive(self, data: bytes, address: Hashable, now_us: int) -> Frames:
         """Take one datagram; returns its packets that were let in (evaluation looks for truth among them)."""
-        frames = scan(data, now_us)
+        frames = without_secrets(scan(data, now_us))
         if frames.damage:
             self._count_damage(frames.damage)
         if not len(frames):
             return frames
         self.packets_in += len(frames)
+        signed = False
+        if self._verify is not None:
+            verdict = self._verify(frames, address)
+            signed = bool(verdict.signed.all())
+            if verdict.refused:
+                self.dropped.update(verdict.refused)
+                frames = frames.select(verdict.keep)
+                if not len(frames):
+                    return frames
         frames = self._let_in(frames, address, now_us)
         if self._router is not None:
             self._router.hear(frames, address)
@@ -139,13 +164,13 @@ class Session:
                 self.packets_routed += 1
         msgids, sysids = frames.msgid.tolist(), frames.sysid.tolist()
         requests = {i: decode_packet(frames, i) for i, n in enumerate(msgids) if n in REQUESTS}
-        trusted = self._settings.allow_remote_config or self._is_local(address)
+        trusted = self._settings.allow_remote_config or signed or self._is_local(address)
         # a recording holds only requests that were carried out, so that a replay may carry them out again
         refused = [] if trusted else [i for i, m in requests.items() if m and changes_state(m)]
         if self._recorder is not None:
             for i in range(len(frames)):
                 if i not in refused:
-                    self._recorder.write(now_us, frames.packet(i))
+                    self._recorder.write(now_us, unsigned(frames.packet(i)))
         start = 0
         # a request takes effect at its place among the packets, as it will in a replay
         for i, message in requests.items():
@@ -187,10 +212,14 @@ class Session:
                     self._send(vehicle, payload, address)
                     self._record(vehicle, payload, now_us)
         for address in self.peers.expire(now_us):
-            for vehicle in self.vehicles.values():
-                vehicle.forget_peer(address)
-            if self._router is not None:
-                self._router.forget(address)
+            self._forget(address)
+
+    def _forget(self, address: Hashable) -> None:
+        """A peer has gone."""
+        for vehicle in self.vehicles.values():
+            vehicle.forget_peer(address)
+        if self._router is not None:
+            self._router.forget(address)
 
     def datagrams(self) -> list[tuple[bytes, Hashable]]:
         """What is to be sent now: (bytes, address), in order."""
@@ -215,7 +244,7 @@ class Session:
         for sysid in sorted(set(sysids) - taken):
             at = [i for i, s in enumerate(sysids) if s == sysid and i not in out]
             vehicle = self.vehicles.get(sysid)
-            if vehicle is not None and vehicle.holder.address != address:
+            if vehicle is not None and vehicle.holder.address not in (None, address):
                 silent_us = now_us - vehicle.holder.seen_us
                 if silent_us <= self._settings.vehicle_timeout * 1e6:
                     out.update(at)
@@ -327,7 +356,8 @@ class Session:
         if peer is None:
             return
         who = vehicle.identity
-        self._transmit(frame(payload, *who, peer.next_sequence(who)), address)
+        packet = frame(payload, *who, peer.next_sequence(who))
+        self._transmit(self._seal(packet, address), address)
         self.packets_out += 1
 
     # ---- what is asked of us -----------------------------------------------------------------------------------

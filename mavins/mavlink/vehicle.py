@@ -54,7 +54,7 @@ def _name(health: Health) -> str:
 
 @dataclass(slots=True)
 class Holder:
-    """The address that speaks for a vehicle, and when it last did (reception, us)."""
+    """The address that speaks for a vehicle, and when it last did (reception, us); None: any may."""
 
     address: Hashable
     seen_us: int

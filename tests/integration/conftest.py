@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import threading
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 from pathlib import Path
@@ -19,6 +20,7 @@ import pytest
 from pymavlink.dialects.v20 import all as dialect
 
 from mavins.config import Config
+from mavins.logs.recording import Recording
 from mavins.mavlink.codec import (
     Payload,
     attitude,
@@ -86,8 +88,12 @@ def numbers(message: Any) -> Iterator[float]:
 class Wire:
     """What the service takes for a link: it looks at every datagram that goes out."""
 
+    is_stream = trusted = False
+    peers = ()
+
     def __init__(self, rig: Rig) -> None:
         self._rig = rig
+        self.dropped: Counter[str] = Counter()
 
     def send(self, data: bytes, address: tuple[str, int]) -> None:
         self._rig.heard(data, (0, *address))
@@ -103,7 +109,7 @@ class Rig:
         self.out = folder / "live"
         self.log = folder / "live.tlog"
         self.config = config or Config()
-        self.service = Service(self.config, [Wire(self)], (), self.out, self.log)  # type: ignore[list-item]
+        self.service = Service(self.config, [Wire(self)], (), self.out, Recording(self.log))  # type: ignore[list-item]
         self.sent: list[tuple[int, Any, Any]] = []
         """(stamp in us, address, message) of all that went out."""
         self.tap: Callable[[bytes], None] | None = None
@@ -264,6 +270,12 @@ def make_rig(tmp_path: Path) -> Callable[..., Rig]:
 @pytest.fixture
 def fly() -> Callable[..., list[Arrival]]:
     return arrivals
+
+
+@pytest.fixture
+def flight_packets() -> Callable[[float], list[tuple[int, bytes]]]:
+    """The first seconds of a flight as (us since boot, packet)."""
+    return lambda seconds: list(flight("quad_mission", seconds, 0, 1))
 
 
 START_LIMIT = 120.0

@@ -33,7 +33,7 @@ from mavins.mavlink.codec.encode import (
     system_time,
 )
 from mavins.mavlink.codec.fields import WIRE, Fields, fields_of, name_of
-from mavins.mavlink.codec.framing import Damage, Frames, scan, scan_tlog
+from mavins.mavlink.codec.framing import Damage, Frames, incomplete_at, scan, scan_tlog
 from mavins.mavlink.codec.messages import (
     IMU_KINDS,
     WRAPPING_IMU_KINDS,
@@ -120,6 +120,7 @@ __all__ = [
     "highres_imu_from",
     "hil_state_quaternion",
     "home_position",
+    "incomplete_at",
     "local_position_ned",
     "message_interval",
     "name_of",

@@ -51,11 +51,14 @@ def payload(fields: Fields, **values: object) -> Payload:
     return Payload(fields.msgid, fields.crc_extra, fields.pack(**values))
 
 
-def frame(message: Payload, sysid: int, compid: int, seq: int) -> bytes:
-    """The MAVLink 2 packet of a payload, its trailing zeros cut off; `seq` is taken modulo 256."""
+def frame(message: Payload, sysid: int, compid: int, seq: int, incompat: int = 0) -> bytes:
+    """The MAVLink 2 packet of a payload, its trailing zeros cut off; `seq` is taken modulo 256.
+
+    `incompat` are the incompatibility flags, `signing.SIGNED` for a packet that will be signed.
+    """
     body = message.body.rstrip(b"\0") or b"\0"
     low, high = message.msgid & 0xFFFF, message.msgid >> 16
-    packet = _HEADER.pack(_STX, len(body), 0, 0, seq & 0xFF, sysid, compid, low, high) + body
+    packet = _HEADER.pack(_STX, len(body), incompat, 0, seq & 0xFF, sysid, compid, low, high) + body
     crc = crc16.mcrf4xx(bytes((message.crc_extra,)), crc16.mcrf4xx(packet[1:]))
     return packet + crc.to_bytes(2, "little")
 

@@ -164,11 +164,28 @@ def scan_tlog(data: Buffer) -> Frames:
     return _frames(data, STAMP_LENGTH, 0)
 
 
-def _frames(data: Buffer, lead: int, received_us: int) -> Frames:
+def incomplete_at(data: Buffer) -> int:
+    """Where in a piece of a stream the packet begins that is not whole yet; the piece's size where
+    there is none.
+
+    All before stays what it is, whatever comes next: `scan(data[:n])` finds the packets that it
+    would find in the whole stream. What is kept is shorter than the longest packet.
+    """
+    return int(_incomplete_at(_readonly(data), WIRE))
+
+
+def _readonly(data: Buffer) -> NDArray[np.uint8]:
+    """The buffer as an array; a kernel is compiled anew for each kind of argument: all look
+    read-only to it.
+    """
     view = np.frombuffer(data, np.uint8)
     if not isinstance(data, bytes):
-        # a kernel is compiled anew for each kind of argument: all buffers look read-only to it
         view.flags.writeable = False
+    return view
+
+
+def _frames(data: Buffer, lead: int, received_us: int) -> Frames:
+    view = _readonly(data)
     # room for the shortest packets; of a large table only the pages that are used take memory
     table = np.empty((9, view.size // (lead + 8) + 1), np.int64)
     count, bad_crc, unknown, skipped, truncated = _walk(view, lead, received_us, WIRE, table)
@@ -302,6 +319,50 @@ def _walk(
         else:
             start += 1
     return count, bad_crc, unknown, skipped + size - done, truncated
+
+
+@kernel
+def _may_become(data: NDArray[np.uint8], start: int, wire: IntArray, is_expected: bool) -> bool:
+    """True where the cut packet at `start` may be intact once it is whole, or, where a packet is
+    expected, one that the dialect lacks.
+    """
+    left = data.size - start
+    if data[start] == STX_V2:
+        if left > 2 and np.int64(data[start + 2]) & ~_SIGNED != 0:
+            return False
+        if left < 10:
+            return True
+        msgid = np.int64(data[start + 7]) | np.int64(data[start + 8]) << 8
+        msgid |= np.int64(data[start + 9]) << 16
+        return bool(is_expected or (msgid < wire.size and wire[msgid] >= 0))
+    if left < 6:
+        return True
+    known = wire[np.int64(data[start + 5])]
+    if known < 0:
+        return is_expected
+    length = np.int64(data[start + 1])
+    return bool(length >= (known >> 8 & 0xFF) and length <= known >> 16)
+
+
+@kernel
+def _incomplete_at(data: NDArray[np.uint8], wire: IntArray) -> int:
+    """Walk from intact packet to intact packet, else byte by byte, as `_walk` does, up to the first
+    that may still become one.
+    """
+    row = np.zeros(9, np.int64)
+    start = expected = 0
+    while start < data.size:
+        if data[start] == STX_V2 or data[start] == STX_V1:
+            verdict = _header(data, start, wire, row)
+            if verdict == _TRUNCATED and _may_become(data, start, wire, start == expected):
+                return start
+            if verdict == _INTACT:
+                start = expected = row[END]
+                continue
+            if verdict == _UNKNOWN and start == expected:
+                expected = row[END]
+        start += 1
+    return start
 
 
 @kernel

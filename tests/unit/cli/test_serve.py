@@ -9,6 +9,8 @@ from pathlib import Path
 import pytest
 
 from mavins.cli.main import main
+from mavins.cli.serve import _with_stations
+from mavins.transports.urls import LinkUrl, parse_url
 
 
 @pytest.fixture
@@ -68,6 +70,51 @@ def test_a_host_that_does_not_exist(capsys: pytest.CaptureFixture[str]) -> None:
     assert "no-such-host.invalid" in refused(capsys, "--udp", "no-such-host.invalid:14550")
     said = refused(capsys, "--udp", "127.0.0.1:0", "--gcs", "no-such-host.invalid:14550")
     assert "no-such-host.invalid" in said
+
+
+@pytest.mark.parametrize(
+    "url",
+    ["14550", "udp:14550", "tcp://", "serial://ttyAMA0", "serial:///dev/ttyAMA0?baud=fast", "x://"],
+)
+def test_a_link_that_does_not_parse(url: str, capsys: pytest.CaptureFixture[str]) -> None:
+    said = refused(capsys, "--udp", "127.0.0.1:0", "--link", url)
+    assert f"'{url}'" in said
+    assert "for example" in said
+
+
+@pytest.mark.parametrize(
+    ("url", "named"),
+    [
+        ("tcp://no-such-host.invalid:5760", "no-such-host.invalid"),
+        ("tcpin://192.0.2.1:5760", "no interface"),
+        ("udp://no-such-host.invalid:14550", "no-such-host.invalid"),
+        ("serial:///dev/no-such-device", "serial /dev/no-such-device: "),
+    ],
+)
+def test_a_link_that_cannot_be_opened(
+    url: str, named: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert named in refused(capsys, "--link", url)
+
+
+def test_nowhere_to_listen(capsys: pytest.CaptureFixture[str]) -> None:
+    assert "--udp 14550" in refused(capsys)
+
+
+def test_ground_stations_are_sent_to_from_where_we_listen() -> None:
+    tcp, four, six = (
+        parse_url("tcp://:5760"),
+        parse_url("udp://:14540"),
+        parse_url("udp://[::]:14541"),
+    )
+    stations = [("192.168.1.20", 14550), ("fd00::2", 14550)]
+    links, named = _with_stations([tcp, four, four, six], stations)
+    assert links == [tcp, four, four, six]
+    assert named == [(1, "192.168.1.20", 14550), (3, "fd00::2", 14550)]
+    # where there is no such port, each has a link of its own
+    links, named = _with_stations([tcp, four], stations)
+    assert links == [tcp, four, LinkUrl("udpout", "fd00::2", 14550)]
+    assert named == [(1, "192.168.1.20", 14550)]
 
 
 @pytest.mark.parametrize(

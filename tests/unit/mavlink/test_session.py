@@ -335,3 +335,19 @@ def test_packets_go_out_at_once_where_there_is_a_way(make_estimator: Any) -> Non
     assert [address for _, address in sent] == [HERE, HERE]
     assert session.datagrams() == []
     assert session.packets_out == 2
+
+
+def test_a_connection_that_ends_frees_its_peer_and_its_vehicle(rig: Rig) -> None:
+    rig.session.add_peer(AWAY)
+    rig.put(imu(1))
+    rig.put(beat(), THERE)
+    rig.session.hang_up(HERE)
+    assert set(rig.session.peers) == {THERE, AWAY}
+    rig.session.hang_up(AWAY)  # named by the user: it may come back
+    rig.session.hang_up("never seen")
+    assert set(rig.session.peers) == {THERE, AWAY}
+    # another one may speak for the vehicle at once, and holds it then
+    rig.put(imu(1, 1_004_000), THERE)
+    assert rig.session.vehicles[1].holder.address == THERE
+    rig.put(imu(1, 1_008_000), HERE)
+    assert rig.session.dropped["sysid 1 from another address"] == 1
