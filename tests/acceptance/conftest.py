@@ -68,9 +68,8 @@ class Text:
                 if found:
                     return found
                 left = end - time.monotonic()
-                assert left > 0 and not self._ended, (
-                    f"no '{pattern}' within {limit} s:\n{self._text[-3000:]}"
-                )
+                if left <= 0.0 or self._ended:
+                    pytest.fail(f"no '{pattern}' within {limit} s:\n{self._text[-3000:]}")
                 self._changed.wait(left)
 
 
@@ -93,7 +92,7 @@ class Flight:
     status: Text
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def flight(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Flight]:
     """One service and one vehicle for all clients; the filter runs."""
     folder = tmp_path_factory.mktemp("flight")

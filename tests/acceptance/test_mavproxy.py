@@ -67,7 +67,9 @@ def test_a_session(tap: Callable[[], Any], mavproxy: Callable[[int], Any]) -> No
         read = console.ask(f"param fetch {PARAMETER}", rf"{PARAMETER} = (-?[\d.]+)")
         assert float(read[1]) == pytest.approx(wanted, rel=1e-5)
     assert shown(console) == pytest.approx(usual, rel=1e-5)
-    place = console.ask("status LOCAL_POSITION_NED", r"LOCAL_POSITION_NED {.*x : (-?[\d.e-]+)")
+    place = console.ask(
+        "status LOCAL_POSITION_NED", r"LOCAL_POSITION_NED {[^}]*?, x : (-?[\d.e-]+)"
+    )
     assert float(place[1]) in {m.x for _, m in line.from_service("LOCAL_POSITION_NED")}
     goes_well(console, line)
     assert {key: n for key, n in line.requests().items() if n > 2} == {}

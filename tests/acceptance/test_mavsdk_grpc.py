@@ -33,7 +33,5 @@ def test_the_first_position(tap: Callable[[], Any], client: Callable[..., Any]) 
     place, ned = (event for event in events)
     sent = {(m.lat, m.lon) for _, m in line.from_service("GLOBAL_POSITION_INT")}
     assert (round(place["place"][0] * 1e7), round(place["place"][1] * 1e7)) in sent
-    assert tuple(ned["p"]) in {
-        (m.x, m.y, m.z) for _, m in line.from_service("LOCAL_POSITION_NED")
-    }
+    assert tuple(ned["p"]) in {(m.x, m.y, m.z) for _, m in line.from_service("LOCAL_POSITION_NED")}
     assert line.lost() == 0
