@@ -9,6 +9,10 @@ class ConfigError(MavinsError):
     """A configuration key or value is wrong; the message names its dotted path and what is allowed."""
 
 
+class ParameterError(ConfigError):
+    """A parameter does not exist, or does not take this value; the message names what is allowed."""
+
+
 class LogFormatError(MavinsError):
     """A log cannot be read as what it claims to be."""
 

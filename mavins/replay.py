@@ -6,6 +6,7 @@ import itertools
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -27,16 +28,25 @@ from mavins.logs.csv_folder import read_csv_folder
 from mavins.logs.tlog import read_tlog
 from mavins.logs.truth import TruthTable, truth_of
 from mavins.mavlink.codec import IMU_KINDS, Frames, OriginRequest, decode
-from mavins.mavlink.commands import COMMAND_INT, COMMAND_LONG, Command, carry_out
+from mavins.mavlink.commands import (
+    COMMAND_INT,
+    COMMAND_LONG,
+    STORE_PARAMETERS,
+    Command,
+    carry_out,
+    keep_parameters,
+)
 from mavins.mavlink.intake import RELEVANT, Intake
+from mavins.mavlink.parameters import PARAM_SET, set_again
 from mavins.mavlink.peers import Identity
 from mavins.mavlink.requests import SET_GPS_GLOBAL_ORIGIN, decode_packet, is_for
 from mavins.mavlink.session import identity_for
 from mavins.mavlink.settings import SessionSettings
+from mavins.parameters import ConfigStore
 from mavins.results import EstimatesFile, ResultWriter, write_json, write_text
 from mavins.types import FloatArray, IntArray, Origin
 
-CHANGES = np.array([SET_GPS_GLOBAL_ORIGIN, COMMAND_INT, COMMAND_LONG])
+CHANGES = np.array([SET_GPS_GLOBAL_ORIGIN, COMMAND_INT, COMMAND_LONG, PARAM_SET])
 """What others may have asked of us, which a recording holds only where it was carried out."""
 CHUNK = 20_000
 """Packets between two reports of progress."""
@@ -128,7 +138,7 @@ def write_smoothed(
     """Smooth a finished run and write what lies within the bounds; returns stamps (N,) and rows (N, 31)."""
     file = EstimatesFile(path, estimator.filter.layout)
     parts: list[tuple[IntArray, FloatArray]] = []
-    for block, frame in smooth(estimator.filter, history, estimator.settings.gnss.reset_after):
+    for block, frame in smooth(history):
         inside = (block.t_us >= bounds_us[0]) & (block.t_us <= bounds_us[1])
         if inside.any():
             parts.append((block.t_us[inside], file.table(block, frame)[inside]))
@@ -184,8 +194,9 @@ class TlogSource:
         """The vehicle's packets through an intake."""
         sysid = self._sysid
         self._intake = Intake(estimator, self.config.sources)
+        store = ConfigStore(self.config, partial(tune, self._intake), keep=lambda config: "")
         who = our_identity(self._frames, sysid, self.config.mavlink)
-        _feed(self._intake, self._frames, sysid, who, progress)
+        _feed(self._intake, store, self._frames, sysid, who, progress)
         if self._intake.imu.chosen is None:
             raise LogFormatError(f"the log has no usable IMU messages of vehicle {sysid}")
 
@@ -258,8 +269,14 @@ def our_identity(frames: Frames, sysid: int, settings: SessionSettings) -> Ident
     return ours.get(sysid)
 
 
+def tune(intake: Intake, config: Config) -> None:
+    """Put a changed configuration into force, live and again in a replay."""
+    intake.reconfigure(config, config.filter, config.sources)
+
+
 def _feed(
     intake: Intake,
+    store: ConfigStore,
     frames: Frames,
     sysid: int,
     who: Identity | None,
@@ -279,11 +296,11 @@ def _feed(
         if part.msgid[0] not in CHANGES:
             intake.take(part)
         elif who is not None:
-            _change(intake.estimator, part, who)
+            _change(intake.estimator, store, part, who)
         progress(end / len(chosen))
 
 
-def _change(estimator: Feed, frames: Frames, who: Identity) -> None:
+def _change(estimator: Feed, store: ConfigStore, frames: Frames, who: Identity) -> None:
     """Carry out again what was asked of us."""
     if frames.msgid[0] == SET_GPS_GLOBAL_ORIGIN:
         request = decode(frames, 0)
@@ -291,8 +308,16 @@ def _change(estimator: Feed, frames: Frames, who: Identity) -> None:
             estimator.set_origin(Origin(request.lat, request.lon, request.alt))
         return
     message = decode_packet(frames, 0)
-    if message is not None and is_for(message, who):
-        carry_out(Command.of(message), estimator)
+    if message is None or not is_for(message, who):
+        return
+    if message.get_msgId() == PARAM_SET:
+        set_again(message, store)
+        return
+    command = Command.of(message)
+    if command.number == STORE_PARAMETERS:
+        keep_parameters(command, store)
+    else:
+        carry_out(command, estimator)
 
 
 def summarize(estimator: Estimator, intake: Intake) -> dict[str, Any]:

@@ -22,12 +22,14 @@ from mavins.mavlink.session import Session
 from mavins.mavlink.signing import Verdict, takes_unsigned
 from mavins.mavlink.stream_buffer import StreamBuffer
 from mavins.mavlink.vehicle import Vehicle
-from mavins.replay import grid_us, summarize
+from mavins.parameters import ConfigStore, file_keeper
+from mavins.replay import grid_us, summarize, tune
 from mavins.results import ResultWriter, check_folder, write_json, write_text
 from mavins.signing_store import Signing
 from mavins.snapshot import aiding_status, estimate_status
 from mavins.status import StatusSnapshot, VehicleStatus
 from mavins.transports.base import Link
+from mavins.warmup import not_ready
 
 TICK_S: Final = 0.05
 STATUS_S: Final = 1.0
@@ -76,8 +78,10 @@ class Service:
         recording: Recording | None = None,
         status: Callable[[StatusSnapshot], None] | None = None,
         signing: Signing | None = None,
+        config_path: Path | None = None,
     ) -> None:
         self._config = config
+        self._config_path = config_path
         self._links = links
         self._trusted = {index for index, link in enumerate(links) if link.trusted}
         self._buffers: dict[Address, StreamBuffer] = {}
@@ -99,7 +103,9 @@ class Service:
             self._may_change,
             self._recorder,
             self._transmit,
-            *(() if signing is None else (self._verify, self._seal)),
+            None if signing is None else self._verify,
+            None if signing is None else self._seal,
+            self._make_store,
         )
         for address in gcs:
             self.session.add_peer(address)
@@ -226,6 +232,15 @@ class Service:
             return Estimator(self._config, self._config.filter)
         outputs = Outputs(grid_us(ROWS_PER_SECOND), writer.write_rows, writer.write_decision)
         return Estimator(self._config, self._config.filter, outputs)
+
+    def _make_store(self, vehicle: Vehicle) -> ConfigStore:
+        """A vehicle's own parameters; they begin with the service's configuration."""
+
+        def apply(config: Config) -> None:
+            tune(vehicle.intake, config)
+            vehicle.set_rates(config.streams)
+
+        return ConfigStore(self._config, apply, file_keeper(self._config_path), not_ready)
 
     def _write_rows(self) -> None:
         """Write the rows that are held, a few at a time: a second's worth would hold up a sample on its way."""

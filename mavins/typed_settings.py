@@ -82,6 +82,16 @@ def unwrap(annotation: Any) -> tuple[Any, tuple[Any, ...]]:
     return annotation, ()
 
 
+def limits(notes: tuple[Any, ...]) -> tuple[float, float]:
+    """The lowest and the highest number that the notes of an annotation allow, or the bound just beyond it."""
+    found = {"g": -math.inf, "l": math.inf}
+    for note in _flat(notes):
+        for kind, name, _ in _COMPARISONS:
+            if isinstance(note, kind):
+                found[name[0]] = float(getattr(note, name))
+    return found["g"], found["l"]
+
+
 def section(annotation: Any) -> type | None:
     """The dataclass of a field that is a section of its own, or None."""
     kind, _ = unwrap(annotation)

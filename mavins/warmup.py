@@ -65,6 +65,13 @@ def compile_all(report: Report, filter_name: str = "eskf") -> None:
         report(f"compiled in {time.monotonic() - started:.0f} s, {kept}")
 
 
+def not_ready(config: Config) -> str:
+    """Why a service at work cannot change to this configuration's filter, or nothing: compiling would stop it."""
+    if not compiles() or is_cached(config.filter):
+        return ""
+    return f"{config.filter} is not compiled yet; first run: mavins warmup --filter {config.filter}"
+
+
 def _in_a_process(stage: str, filter_name: str, report: Report) -> None:
     """Run one stage in a process of its own; if it fails, the flight here compiles what is missing."""
     command = [sys.executable, "-m", "mavins.warmup", stage, filter_name]

@@ -143,6 +143,7 @@ def run(args: argparse.Namespace) -> int:
             record.recording_of(args, say),
             renderer.update,
             signing.signing_of(args),
+            args.config,
         )
         for link in links:
             print(link.announcement, flush=True)

@@ -56,6 +56,13 @@ class Aligner:
         self._heading: tuple[int, HeadingFix] | None = None
         self._field: tuple[int, FloatArray] | None = None
 
+    def reconfigure(self, settings: Settings, compass: Compass) -> None:
+        """Other settings from now on; what has been seen stays."""
+        self._settings, self._compass = settings, compass
+        self.standing.settings = settings.zero_velocity
+        self.gate.settings = settings.gnss
+        self.motion.settings = settings
+
     def see_fix(self, fix: GnssFix, t_us: int) -> None:
         """A fix with its valid time."""
         self.gate.add(fix, self.standing.quiet)

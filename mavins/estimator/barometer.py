@@ -23,7 +23,7 @@ class Barometer:
     """One barometer. `offset` is its reading minus GNSS altitude in m, with the variance of its error."""
 
     def __init__(self, settings: BaroSettings) -> None:
-        self._settings = settings
+        self.settings = settings
         self._last: BaroSample | None = None
         self._taken_us: int | None = None
         self._compared_us = 0
@@ -33,7 +33,7 @@ class Barometer:
 
     def see_fix(self, t_us: int, alt: float, sigma: float) -> None:
         """Compare a GNSS altitude valid at `t_us` with the newest reading: a Kalman filter of one state."""
-        last, s = self._last, self._settings
+        last, s = self._last, self.settings
         if last is None or abs(t_us - last.t_us) > _PAIR_US:
             return
         difference = last.alt - alt
@@ -56,16 +56,16 @@ class Barometer:
 
     def altitude(self, sample: BaroSample) -> tuple[float, float] | None:
         """(altitude in m at the level of GNSS, 1-sigma), or None where it is not known or it is too soon."""
-        if not self._settings.enabled or not math.isfinite(sample.alt):
+        if not self.settings.enabled or not math.isfinite(sample.alt):
             return None
         self._last = sample
-        period_us = _SLACK * 1e6 / self._settings.max_rate
+        period_us = _SLACK * 1e6 / self.settings.max_rate
         if math.isnan(self.offset) or (
             self._taken_us is not None and abs(sample.t_us - self._taken_us) < period_us
         ):
             return None
         self._taken_us = sample.t_us
-        return sample.alt - self.offset, math.sqrt(self._settings.sigma**2 + self.variance)
+        return sample.alt - self.offset, math.sqrt(self.settings.sigma**2 + self.variance)
 
     def _restart(self, difference: float, noise: float, t_us: int) -> None:
         self.offset, self.variance = difference, noise

@@ -35,13 +35,20 @@ from mavins.estimator.imu_rows import TICK_US, run_end, to_body, turn_of
 from mavins.estimator.latency import delay_parameters
 from mavins.estimator.pseudo import gravity_tilt_at, nonholonomic_at
 from mavins.estimator.quality import noise_of, objection
+from mavins.estimator.reconfigure import (
+    applicable,
+    begin_delay,
+    delay_told,
+    imu_noise,
+    needs_filter,
+)
 from mavins.estimator.settings import Settings
 from mavins.estimator.solution import solution_of
 from mavins.estimator.standing import HALF_WINDOW_US
 from mavins.estimator.statistics import AidingStatistics
 from mavins.estimator.timeline import Timeline
 from mavins.estimator.yaw_watch import YawWatch
-from mavins.filters import Filter, FilterState, ImuNoise, RowBlock, make
+from mavins.filters import Filter, FilterState, RowBlock, make
 from mavins.nav.earth import TangentFrame
 from mavins.nav.layout import X_TAU
 from mavins.nav.linalg import is_sane
@@ -89,19 +96,10 @@ class Estimator:
     ) -> None:
         self.settings = settings
         self._outputs = outputs or Outputs()
-        self._noise = ImuNoise(
-            settings.imu.gyro_noise,
-            settings.imu.accel_noise,
-            settings.imu.gyro_bias_walk,
-            settings.imu.accel_bias_walk,
-        )
-        self.filter: Filter = make(
-            filter_name, self._noise, settings.states.layout(), settings.filters
-        )
+        self._filter_name = filter_name
+        self.filter: Filter = self._make_filter()
         self._buffer_us = round(settings.estimator.buffer * 1e6)
-        self._window_us = round(settings.alignment.window * 1e6)
         self._imu_delay_us = round(settings.imu.delay * 1e6)
-        self._max_gap_us = round(settings.estimator.max_gap * 1e6)
         self._rotation = turn_of(settings.imu.rotation)
         self._wanted_origin: Origin | None = None
         self.frame: TangentFrame | None = None
@@ -159,6 +157,25 @@ class Estimator:
             self._resets_before += 1
             self._decide(self._line.change_frame(new))
 
+    def reconfigure(self, settings: Settings, filter_name: str = "") -> None:
+        """Go on with other settings, and another filter if one is named; what only a start can change stays as it is.
+
+        A filter that has to be made anew takes state and covariance over; decisions that are open end here.
+        """
+        old, new = self.settings, applicable(self.settings, settings)
+        replaced = filter_name not in ("", self._filter_name)
+        self.settings = new
+        self._filter_name = filter_name or self._filter_name
+        if old.magnetometer != new.magnetometer:
+            self._compass = Compass(new.magnetometer)
+        self._barometer.settings = new.baro
+        self._aligner.reconfigure(new, self._compass)
+        if delay_told(old, new):
+            self._first_delay = math.nan
+        if replaced or needs_filter(old, new):
+            self.filter = self._make_filter()
+            self._decide(self._line.change_filter(Fusion(self.filter, new.gnss.reset_after)))
+
     def restart(self, reason: str) -> None:
         """Forget all samples and the estimate (the vehicle has rebooted); the origin stays."""
         self._lost(reason, Health.WAITING)
@@ -173,6 +190,7 @@ class Estimator:
     def feed_imu(self, table: ImuTable) -> None:
         """Take IMU samples in the order of their arrival."""
         t_us, imu = to_body(table, self._imu_delay_us, self._rotation)
+        max_gap_us = round(self.settings.estimator.max_gap * 1e6)
         start, n = 0, len(t_us)
         while start < n:
             newest = self.t_us
@@ -181,8 +199,8 @@ class Estimator:
                 self._late_sample(first, imu[start])
                 start += 1
                 continue
-            end = run_end(t_us, start, -1 if newest is None else newest, self._max_gap_us)
-            if newest is not None and first - newest > self._max_gap_us:
+            end = run_end(t_us, start, -1 if newest is None else newest, max_gap_us)
+            if newest is not None and first - newest > max_gap_us:
                 self._lost(f"IMU gap of {(first - newest) * 1e-6:.1f} s", Health.ALIGNING)
             self._take_rows(t_us[start:end], imu[start:end], newest)
             start = end
@@ -220,6 +238,11 @@ class Estimator:
         state = self._line.state
         if state is None or self.frame is None or "tau" not in self.filter.layout.blocks:
             return fix.t_us - round(fix.delay * 1e6), _NOTHING
+        if math.isnan(self._first_delay):
+            self._first_delay = fix.delay
+            sigma = self.settings.states.gnss_delay_sigma
+            begin_delay(state, self.filter.layout, fix.delay, sigma)
+            self._decide(self._line.change_frame(self.frame))
         delay = float(state.x[X_TAU]) + fix.delay - self._first_delay
         t_us = fix.t_us - round(delay * 1e6)
         return t_us, delay_parameters(state, self.frame, self._line.buffer, t_us)
@@ -284,6 +307,10 @@ class Estimator:
 
     # ---- on the time line --------------------------------------------------------------------------------------
 
+    def _make_filter(self) -> Filter:
+        s = self.settings
+        return make(self._filter_name, imu_noise(s), s.states.layout(), s.filters)
+
     def _new_line(self) -> Timeline:
         fusion = Fusion(self.filter, self.settings.gnss.reset_after)
         outputs = self._outputs
@@ -334,7 +361,8 @@ class Estimator:
             self._habits(now_us)
             self._judge_health(now_us)
             self._watch_yaw(now_us)
-        self._decide(self._line.prune(now_us, self._window_us))
+        window_us = round(self.settings.alignment.window * 1e6)
+        self._decide(self._line.prune(now_us, window_us))
 
     def _zero_velocity(self, now_us: int) -> None:
         settings, standing = self.settings.zero_velocity, self._aligner.standing

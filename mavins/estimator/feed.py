@@ -16,6 +16,9 @@ class Feed(Protocol):
     def set_origin(self, origin: Origin) -> None:
         """Put the origin of n here."""
 
+    def reconfigure(self, settings: Settings, filter_name: str = "") -> None:
+        """Go on with other settings, and another filter if one is named."""
+
     def restart(self, reason: str) -> None:
         """Forget all samples and the estimate."""
 

@@ -60,16 +60,21 @@ class Fusion:
     """Takes events to a filter and keeps the track."""
 
     def __init__(self, algorithm: Filter, reset_after: float) -> None:
-        self._filter = algorithm
+        self.filter = algorithm
+        self._reset_after = reset_after
         self._reset_after_us = round(reset_after * 1e6)
         self.track = Track()
+
+    def anew(self) -> Fusion:
+        """The same rules and filter without a track: to go through the same events once more."""
+        return Fusion(self.filter, self._reset_after)
 
     def fuse(self, state: FilterState, event: Event) -> None:
         """Fuse one event at the state's time, which is the measurement's valid time; the event takes the outcome."""
         m = event.measurement
         event.reason = m.quality
         gate = -1.0 if m.quality else gate_threshold(m.gate, len(m.z))
-        event.nis, event.innovation, event.sigma = self._filter.update(state, m, gate)
+        event.nis, event.innovation, event.sigma = self.filter.update(state, m, gate)
         if m.quality:
             return
         if event.nis <= gate:
@@ -105,7 +110,7 @@ class Fusion:
         if m.t_us - since < self._reset_after_us:
             return
         _reset_block(state, first, *m.linearize(state.x, state.u), m.R)
-        self._filter.adopt(state)
+        self.filter.adopt(state)
         event.reason = "reset"
         self._accept(m)
         self.track = self.track._replace(

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mavins.estimator.fusion import Event, Track
+from mavins.estimator.fusion import Event, Fusion, Track
 from mavins.filters import FilterState
 from mavins.nav.earth import TangentFrame
 from mavins.types import FloatArray, IntArray
@@ -27,13 +27,15 @@ class Snapshot(NamedTuple):
 
 @dataclass(slots=True)
 class Stretch:
-    """A run of a filter in one frame, from a start to where it was lost, re-framed or ended.
+    """A run of a filter in one frame, from a start to where it was lost, re-framed, replaced or ended.
 
-    `t_us`, `imu` and `written` are pieces: stamps and readings of the IMU rows after the start, in the order in which
-    they came, and the stamps of the output rows. `events` are those that were put to the filter.
+    `fusion` is what put measurements to the filter. `t_us`, `imu` and `written` are pieces: stamps and readings of the
+    IMU rows after the start, in the order in which they came, and the stamps of the output rows. `events` are those
+    that were put to the filter.
     """
 
     frame: TangentFrame
+    fusion: Fusion
     snapshots: list[Snapshot]
     t_us: list[IntArray]
     imu: list[FloatArray]
@@ -55,9 +57,16 @@ class History:
     def __init__(self) -> None:
         self.stretches: list[Stretch] = []
 
-    def begin(self, start: Snapshot, frame: TangentFrame, t_us: IntArray, imu: FloatArray) -> None:
+    def begin(
+        self,
+        start: Snapshot,
+        frame: TangentFrame,
+        fusion: Fusion,
+        t_us: IntArray,
+        imu: FloatArray,
+    ) -> None:
         """A run begins; the rows are those already there that follow its start."""
-        self.stretches.append(Stretch(frame, [start], [t_us.copy()], [imu.copy()]))
+        self.stretches.append(Stretch(frame, fusion, [start], [t_us.copy()], [imu.copy()]))
 
     def rows(self, t_us: IntArray, imu: FloatArray) -> None:
         """IMU rows have come in."""

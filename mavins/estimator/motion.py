@@ -45,11 +45,9 @@ class MotionHeading:
     """One run of the filters, from the first fix with a velocity on; `b_g` (3,) is the gyro bias that it takes out."""
 
     def __init__(self, settings: Settings) -> None:
+        self.settings = settings
         self._lever_b = np.array(settings.gnss.lever_arm)
         self._buffer_us = round(settings.estimator.buffer * 1e6)
-        self._window_us = round(settings.alignment.window * 1e6)
-        self._rate_sigma = settings.zero_velocity.rate_sigma
-        self._gyro_noise, self._accel_noise = settings.imu.gyro_noise, settings.imu.accel_noise
         self._sigma_b_g = settings.imu.gyro_bias_sigma
         self.b_g = np.zeros(3)
         self._t_us = self._fix_us = -1
@@ -70,7 +68,7 @@ class MotionHeading:
     def rest(self, gyro_b: FloatArray) -> None:
         """The vehicle stands, and its gyro shows this."""
         self.b_g = gyro_b
-        self._sigma_b_g = self._rate_sigma
+        self._sigma_b_g = self.settings.zero_velocity.rate_sigma
 
     def step(self, buffer: ImuBuffer, now_us: int) -> None:
         """Fuse what is not later than `now_us`, the newest stamp, and go on where the IMU rows will soon be lost."""
@@ -97,9 +95,10 @@ class MotionHeading:
         return MotionAttitude(q_lb, float(quat_to_euler(q_lb)[2]), sigma, tilt, trusted)
 
     def _begin(self, buffer: ImuBuffer, t_us: int, v: FloatArray, sigma: float) -> None:
-        first = buffer.row_after(t_us - self._window_us)
+        window_us = round(self.settings.alignment.window * 1e6)
+        first = buffer.row_after(t_us - window_us)
         end = buffer.row_after(t_us)
-        if end == first or t_us - buffer.oldest_us < self._window_us:
+        if end == first or t_us - buffer.oldest_us < window_us:
             return
         self._q_hb = level(mean_rows(buffer.readings(first, end))[3:], _UP, 0.0)
         self._u = buffer.reading_at(t_us)
@@ -130,7 +129,7 @@ class MotionHeading:
     def _fuse(self, v: FloatArray, sigma: float) -> None:
         dt = (self._t_us - self._fix_us) * 1e-6
         turn = self._turn_noise(dt)
-        Q = np.array([self._accel_noise**2 * dt, turn, turn])
+        Q = np.array([self.settings.imu.accel_noise**2 * dt, turn, turn])
         C_hb = quat_to_dcm(self._q_hb)
         lever_h = (C_hb @ cross(self._u[:3] - self.b_g, self._lever_b))[:2]
         nis = fuse(
@@ -143,4 +142,4 @@ class MotionHeading:
 
     def _turn_noise(self, dt: float) -> float:
         """The variance in rad^2 that noise and an unknown bias of the gyro add to an angle in dt seconds."""
-        return (self._gyro_noise**2 + self._sigma_b_g**2 * BIAS_TIME) * dt
+        return (self.settings.imu.gyro_noise**2 + self._sigma_b_g**2 * BIAS_TIME) * dt

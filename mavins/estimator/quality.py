@@ -62,7 +62,7 @@ class StartGate:
     """Counts good fixes in a row before the first use; `reason` says what the last bad one lacked."""
 
     def __init__(self, settings: GnssSettings) -> None:
-        self._settings = settings
+        self.settings = settings
         self._recent: deque[GnssFix] = deque()
         self.good = 0
         self.reason = "no GNSS fix yet"
@@ -70,17 +70,17 @@ class StartGate:
     @property
     def passed(self) -> bool:
         """True once enough good fixes have come in a row."""
-        return self.good >= self._settings.good_fixes
+        return self.good >= self.settings.good_fixes
 
     def add(self, fix: GnssFix, standing: bool) -> None:
         """Judge one more fix; `standing` is what the IMU says."""
-        reason = objection(fix, self._settings) or self._inconsistency(fix, standing)
+        reason = objection(fix, self.settings) or self._inconsistency(fix, standing)
         if reason:
             self.good = 0
             self.reason = f"GNSS: {reason}"
         else:
             self.good += 1
-            self.reason = f"GNSS: {self.good} of {self._settings.good_fixes} good fixes"
+            self.reason = f"GNSS: {self.good} of {self.settings.good_fixes} good fixes"
         self._recent.append(fix)
         while len(self._recent) > 2 and fix.t_us - self._recent[1].t_us >= _BASELINE_US:
             self._recent.popleft()
@@ -96,12 +96,12 @@ class StartGate:
         if not standing or old is None or dt <= 0.0:
             return ""
         moved_n, moved_e = _displacement(old, fix)
-        slack = self._settings.max_standing_drift * dt + 3.0 * noise_of(fix, self._settings).h
+        slack = self.settings.max_standing_drift * dt + 3.0 * noise_of(fix, self.settings).h
         v = fix.v_l or (0.0, 0.0, 0.0)
         if math.hypot(moved_n - v[0] * dt, moved_e - v[1] * dt) > slack:
             return "position and speed disagree"
         if (
-            speed > self._settings.max_standing_speed
+            speed > self.settings.max_standing_speed
             and math.hypot(moved_n, moved_e) < 0.3 * speed * dt
         ):
             return "speed while standing"

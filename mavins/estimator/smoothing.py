@@ -2,7 +2,7 @@
 
 The forward run decides: what it has accepted is fused again at the same instants from its own snapshots, so nothing
 rewinds and the states are the same to the bit. Segments between two snapshots come last to first, which bounds the
-memory. Nothing is passed over a reset, a re-alignment or a change of frame. Theory: docs/theory/rts.md.
+memory. Nothing is passed over a reset, a re-alignment or a change of frame or filter. Theory: docs/theory/rts.md.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from itertools import groupby, pairwise
 
 import numpy as np
 
-from mavins.estimator.fusion import Event, Fusion
+from mavins.estimator.fusion import Event
 from mavins.estimator.history import History, Snapshot, Stretch
-from mavins.filters import Filter, FilterState, RowBlock
+from mavins.filters import FilterState, RowBlock
 from mavins.filters.rts import (
     MOVED,
     RESET,
@@ -32,12 +32,10 @@ ROWS_AT_ONCE = 256
 """IMU rows that are walked in one go: their covariances are all written down."""
 
 
-def smooth(
-    algorithm: Filter, history: History, reset_after: float
-) -> Iterator[tuple[RowBlock, TangentFrame]]:
+def smooth(history: History) -> Iterator[tuple[RowBlock, TangentFrame]]:
     """The smoothed estimates at the stamps of the output rows, in blocks from the last to the first."""
     for stretch in reversed(history.stretches):
-        for block in _Stretch(algorithm, stretch, reset_after).blocks():
+        for block in _Stretch(stretch).blocks():
             yield block, stretch.frame
 
 
@@ -74,16 +72,16 @@ class _Nodes:
 class _Stretch:
     """A stretch on its way back."""
 
-    def __init__(self, algorithm: Filter, stretch: Stretch, reset_after: float) -> None:
-        self._filter = algorithm
+    def __init__(self, stretch: Stretch) -> None:
+        self._filter = stretch.fusion.filter
         self._frame = stretch.frame
         self._snapshots = stretch.snapshots
-        self._fusion = Fusion(algorithm, reset_after)
+        self._fusion = stretch.fusion.anew()
         self._t_us, self._imu = stretch.rows()
         written = np.concatenate([np.empty(0, dtype=np.int64), *stretch.written])
         self._due = np.isin(self._t_us, written).astype(np.int64)
         self._events = sorted(stretch.events, key=lambda event: event.order)
-        self._rows = RowBlock.empty(ROWS_AT_ONCE, algorithm.layout.size)
+        self._rows = RowBlock.empty(ROWS_AT_ONCE, self._filter.layout.size)
         self._M = np.eye(CORE_SIZE)
 
     def blocks(self) -> Iterator[RowBlock]:

@@ -37,7 +37,7 @@ class StandingDetector:
     """Judged at every tick; `standing` and `moved` say what was found."""
 
     def __init__(self, settings: ZeroVelocitySettings) -> None:
-        self._settings = settings
+        self.settings = settings
         self.moved = False
         self._reference: FloatArray | None = None
         self._quiet_ticks = 0
@@ -53,12 +53,12 @@ class StandingDetector:
     @property
     def standing(self) -> bool:
         """True while the vehicle stands and has not moved since it was first found standing."""
-        return self.quiet and not self.moved and self._speed < self._settings.speed_limit
+        return self.quiet and not self.moved and self._speed < self.settings.speed_limit
 
     def see_speed(self, speed: float) -> None:
         """The horizontal speed (m/s) of a fix that nothing speaks against."""
         self._speed = speed
-        if self.quiet and speed >= self._settings.speed_limit:
+        if self.quiet and speed >= self.settings.speed_limit:
             self.moved = True
 
     def tick(self, buffer: ImuBuffer, now_us: int) -> None:
@@ -73,7 +73,7 @@ class StandingDetector:
         self.gyro_b = before[:3]
         if self._reference is None:
             self._reference = before
-        s = self._settings
+        s = self.settings
         for mean in (before, after):
             turning = _distance(mean[:3], self._reference[:3]) > s.gyro_limit
             spinning = _distance(mean[:3], np.zeros(3)) > 3.0 * s.gyro_limit

@@ -10,6 +10,8 @@ from __future__ import annotations
 from bisect import bisect_right, insort
 from collections.abc import Callable
 
+import numpy as np
+
 from mavins.aiding import Measurement
 from mavins.estimator.buffer import ImuBuffer
 from mavins.estimator.fusion import Event, Fusion, Track
@@ -79,11 +81,27 @@ class Timeline:
         self.flush()
         decided = self.end()
         self.frame = frame
-        if self.state is not None:
-            self._filter.adopt(self.state)
-            self._snapshots = [Snapshot(self.state.t_us, self.state.copy(), self.fusion.track)]
-            self._tell_start(frame)
+        self._start_here()
         return decided
+
+    def change_filter(self, fusion: Fusion) -> list[Event]:
+        """Go on from the state as it is with another fusion and its filter, of the same layout; ends all decisions."""
+        self.flush()
+        decided = self.end()
+        fusion.track = self.fusion.track
+        self.fusion, self._filter = fusion, fusion.filter
+        if self.state is not None:
+            self.state.own = np.empty((0, 0))
+        self._start_here()
+        return decided
+
+    def _start_here(self) -> None:
+        """From now on there is no way back behind the state as it is."""
+        if self.state is None or self.frame is None:
+            return
+        self._filter.adopt(self.state)
+        self._snapshots = [Snapshot(self.state.t_us, self.state.copy(), self.fusion.track)]
+        self._tell_start(self.frame)
 
     def append(self, t_us: IntArray, imu: FloatArray) -> None:
         """Add IMU rows that follow the newest, and move the state through them."""
@@ -168,7 +186,8 @@ class Timeline:
         if self._history is not None:
             start, buffer = self._snapshots[0], self.buffer
             first, end = buffer.row_after(start.t_us), buffer.end
-            self._history.begin(start, frame, buffer.times(first, end), buffer.readings(first, end))
+            t_us, imu = buffer.times(first, end), buffer.readings(first, end)
+            self._history.begin(start, frame, self.fusion, t_us, imu)
 
     def _tell_rows(self, t_us: IntArray, imu: FloatArray) -> None:
         if self._history is not None:

@@ -21,7 +21,10 @@ from mavins.types import (
 
 
 class Tape:
-    """Takes what an `Estimator` takes, in its place (estimator/feed.py), and plays it to one later."""
+    """Takes what an `Estimator` takes, in its place (estimator/feed.py), and plays it to one later.
+
+    `settings` are those to begin with.
+    """
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
@@ -30,6 +33,10 @@ class Tape:
     def set_origin(self, origin: Origin) -> None:
         """Keep an origin."""
         self.feeds.append(("set_origin", origin))
+
+    def reconfigure(self, settings: Settings, filter_name: str = "") -> None:
+        """Keep other settings; which filter it is to be is up to whoever plays it."""
+        self.feeds.append(("reconfigure", settings))
 
     def restart(self, reason: str) -> None:
         """Keep a new beginning."""

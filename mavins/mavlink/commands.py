@@ -21,6 +21,7 @@ from mavins.mavlink.codec import (
 from mavins.mavlink.codec.decode import MAX_ALTITUDE
 from mavins.mavlink.data_streams import REQUEST_DATA_STREAM, set_data_stream
 from mavins.mavlink.microservice import Reply, Request
+from mavins.mavlink.parameters import ParameterStore, changes_since, values_of
 from mavins.mavlink.streams import MSGIDS, Home
 from mavins.mavlink.vehicle import Vehicle
 from mavins.types import Origin
@@ -46,6 +47,8 @@ TEMPORARILY_REJECTED: Final = 1
 DENIED: Final = 2
 UNSUPPORTED: Final = 3
 FAILED: Final = 4
+_WARNING: Final = 4
+"""Of MAV_SEVERITY."""
 
 _CAPABILITIES: Final = 0x8 | 0x2000 | 0x20000
 """COMMAND_INT, MAVLINK2 and PARAM_ENCODE_C_CAST."""
@@ -101,6 +104,20 @@ def carry_out(command: Command, feed: Feed) -> bool:
     else:
         return False
     return True
+
+
+def keep_parameters(command: Command, store: ParameterStore) -> str:
+    """What STORE_PARAMETERS does, live and again in a replay; returns why it failed, or nothing."""
+    action = command.number_in(1)
+    if action == 1:
+        return store.save()
+    if action == 0:
+        store.load()
+    elif action == 2:
+        store.reset()
+    else:
+        return "parameters can be loaded (0), saved (1) and reset (2)"
+    return ""
 
 
 Answer = tuple[int, list[Payload]]
@@ -215,6 +232,14 @@ def _calibrate(command: Command, vehicle: Vehicle, address: Hashable) -> Answer:
     return ACCEPTED, vehicle.news()
 
 
+def _keep_parameters(command: Command, vehicle: Vehicle, address: Hashable) -> Answer:
+    store = vehicle.parameters.store
+    before = values_of(store)
+    if reason := keep_parameters(command, store):
+        return FAILED, vehicle.text(f"mavins: {reason}", _WARNING)
+    return ACCEPTED, changes_since(before, store)
+
+
 def _restart(command: Command, vehicle: Vehicle, address: Hashable) -> Answer:
     return (ACCEPTED, vehicle.news()) if carry_out(command, vehicle.estimator) else (DENIED, [])
 
@@ -222,6 +247,7 @@ def _restart(command: Command, vehicle: Vehicle, address: Hashable) -> Answer:
 HANDLERS: Final[dict[int, Callable[[Command, Vehicle, Hashable], Answer]]] = {
     SET_HOME: _set_home,
     CALIBRATE: _calibrate,
+    STORE_PARAMETERS: _keep_parameters,
     RESTART: _restart,
     GET_HOME: _get_home,
     GET_INTERVAL: _get_interval,

@@ -14,6 +14,7 @@ from typing import Any, ClassVar, Final, Protocol
 import numpy as np
 
 from mavins.estimator.feed import Feed
+from mavins.estimator.settings import Settings
 from mavins.mavlink.clock import Clock, ImuTimes, is_unix
 from mavins.mavlink.codec import (
     IMU_KINDS,
@@ -100,6 +101,7 @@ class Intake:
         self.reboots = 0
         self.last_fix: GnssFix | None = None
         self._settings = settings
+        self._tuning = estimator.settings
         self._quality: GpsRaw | None = None
         self._quality_us = 0
         self._vertical: tuple[int, float] | None = None
@@ -116,6 +118,13 @@ class Intake:
             "HIL_GPS": self._hil_gps,
             "ATTITUDE": self._attitude,
         }
+
+    def reconfigure(self, settings: Settings, filter_name: str, sources: SourceSettings) -> None:
+        """Go on with other settings, filter and sources."""
+        self.estimator.reconfigure(settings, filter_name)
+        self._settings, self._tuning = sources, settings
+        if self.autopilot is not None:
+            self._resolve(self.autopilot)
 
     def take(self, frames: Frames) -> None:
         """Take packets of this vehicle, in their order, each with its reception stamp in `frames.t_us`.
@@ -232,7 +241,7 @@ class Intake:
 
     def _due(self, t_us: IntArray, field: FloatArray) -> list[int]:
         """The rows whose reading follows the last one no sooner than the settings allow."""
-        interval = 0.95e6 / self.estimator.settings.magnetometer.max_rate
+        interval = 0.95e6 / self._tuning.magnetometer.max_rate
         due = []
         for row in np.flatnonzero(np.isfinite(field[:, 0])).tolist():
             stamp_us = int(t_us[row])
@@ -291,8 +300,8 @@ class Intake:
 
     def _resolve(self, autopilot: int) -> None:
         self.autopilot = autopilot
-        settings = self.estimator.settings
-        self.sources = resolve(self._settings, settings.gnss, settings.heading, autopilot)
+        tuning = self._tuning
+        self.sources = resolve(self._settings, tuning.gnss, tuning.heading, autopilot)
 
     def _time_of(self, message: Stamped, received_us: int) -> int | None:
         """The message's stamp on the time base, or None (counted) where it has none."""

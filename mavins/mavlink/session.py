@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 from collections import Counter
 from collections.abc import Callable, Collection, Hashable, Iterable
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
 
@@ -30,6 +30,12 @@ from mavins.mavlink.codec import (
 from mavins.mavlink.codec import decode as decode_frame
 from mavins.mavlink.intake import RELEVANT, Intake
 from mavins.mavlink.microservice import Request
+from mavins.mavlink.parameters import (
+    PARAM_SET,
+    ParameterStore,
+    VehicleParameters,
+    is_refused,
+)
 from mavins.mavlink.peers import Identity, Peer, Peers
 from mavins.mavlink.requests import (
     BY_MSGID,
@@ -100,7 +106,8 @@ class Session:
         recorder: Recorder | None = None,
         transmit: Callable[[bytes, Hashable], None] | None = None,
         verify: Callable[[Frames, Hashable], Verdict] | None = None,
-        seal: Callable[[bytes, Hashable], bytes] = lambda packet, address: packet,
+        seal: Callable[[bytes, Hashable], bytes] | None = None,
+        make_store: Callable[[Vehicle], ParameterStore | None] = lambda vehicle: None,
     ) -> None:
         self.vehicles: dict[int, Vehicle] = {}
         self.dropped: Counter[str] = Counter()
@@ -116,7 +123,8 @@ class Session:
         self._recorder = recorder
         self._recorded = Peer(None)
         self._verify = verify
-        self._seal = seal
+        self._seal = seal or (lambda packet, address: packet)
+        self._make_store = make_store
         self._out: list[tuple[bytes, Hashable]] = []
         # a service sends each packet as soon as it is made; without one they wait for `datagrams`
         self._transmit = transmit or (lambda data, address: self._out.append((data, address)))
@@ -166,7 +174,7 @@ class Session:
         requests = {i: decode_packet(frames, i) for i, n in enumerate(msgids) if n in REQUESTS}
         trusted = self._settings.allow_remote_config or signed or self._is_local(address)
         # a recording holds only requests that were carried out, so that a replay may carry them out again
-        refused = [] if trusted else [i for i, m in requests.items() if m and changes_state(m)]
+        refused = [i for i, m in requests.items() if m and not self._allows(m, trusted)]
         if self._recorder is not None:
             for i in range(len(frames)):
                 if i not in refused:
@@ -179,7 +187,7 @@ class Session:
                 sender = (sysids[i], int(frames.compid[i]))
                 request = Request(message, sender, address, trusted, now_us)
                 self._answer(request, frames, i)
-                if i in refused:
+                if i in refused and not trusted:
                     self._warn(address)
             start = i + 1
         self._feed(frames, sysids, msgids, start, len(msgids))
@@ -297,6 +305,7 @@ class Session:
             round(self._settings.vehicle_timeout * 1e6),
             self._settings.persona,
         )
+        vehicle.parameters = VehicleParameters(self._make_store(vehicle))
         self.vehicles[sysid] = vehicle
         for request in self._wanted_origins:
             if request.target_system in (0, vehicle.identity.sysid):
@@ -378,6 +387,15 @@ class Session:
                 else:
                     self._send(vehicle, reply.payload, request.address)
                     self._record(vehicle, reply.payload, request.now_us)
+
+    def _allows(self, message: Any, trusted: bool) -> bool:
+        """False for a change that will be refused."""
+        if not changes_state(message):
+            return True
+        if message.get_msgId() != PARAM_SET:
+            return trusted
+        asked = [v for v in self.vehicles.values() if is_for(message, v.identity)]
+        return trusted and not all(is_refused(message, v.parameters.store) for v in asked)
 
     def _warn(self, address: Hashable) -> None:
         """Tell a peer once that it may not change our state."""

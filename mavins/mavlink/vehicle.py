@@ -16,6 +16,7 @@ from mavins.mavlink.codec import (
     statustext,
 )
 from mavins.mavlink.intake import Intake
+from mavins.mavlink.parameters import VehicleParameters
 from mavins.mavlink.peers import Identity
 from mavins.mavlink.settings import Persona, StreamSettings
 from mavins.mavlink.streams import OF_ESTIMATE, OF_SERVICE, Home, Plan, Telemetry, plan_of
@@ -101,6 +102,7 @@ class Vehicle:
     stream_settings: StreamSettings
     timeout_us: int = 3_000_000
     persona: Persona = "vehicle"
+    parameters: VehicleParameters = field(default_factory=VehicleParameters)
     home: Home | None = None
     lack: str = ""
     _plans: Plans = field(init=False)
@@ -215,7 +217,7 @@ class Vehicle:
         if lack == self.lack:
             return []
         self.lack = lack
-        return self._text(f"mavins: vehicle {self.sysid} {lack or 'is back'}", 4 if lack else 6)
+        return self.text(f"mavins: vehicle {self.sysid} {lack or 'is back'}", 4 if lack else 6)
 
     def _reason_news(self, now_us: int) -> list[Payload]:
         """A text where there is no estimate, once the same thing has been lacking for a while."""
@@ -226,7 +228,7 @@ class Vehicle:
         if not reason or reason == self._reason_said or now_us - self._reason_us < REASON_US:
             return []
         self._reason_said = reason
-        return self._text(f"mavins {_name(self.estimator.health)}: {reason}", 6)
+        return self.text(f"mavins {_name(self.estimator.health)}: {reason}", 6)
 
     def set_origin(self, origin: Origin) -> list[Payload]:
         """Put the origin of n there; returns the announcement."""
@@ -252,16 +254,17 @@ class Vehicle:
         self._said = (health, resets, losses)
         texts: list[Payload] = []
         if losses != before_losses:
-            texts += self._text(f"mavins estimate lost: {estimator.loss}", 4)
+            texts += self.text(f"mavins estimate lost: {estimator.loss}", 4)
         if health != before_health:
             self._reason_said = estimator.reason
             reason = f": {estimator.reason}" if estimator.reason else ""
-            texts += self._text(f"mavins {_name(health)}{reason}", _SEVERITY[health])
+            texts += self.text(f"mavins {_name(health)}{reason}", _SEVERITY[health])
         if resets != before_resets:
-            texts += self._text(f"mavins estimate reset ({resets})", 4)
+            texts += self.text(f"mavins estimate reset ({resets})", 4)
         return texts
 
-    def _text(self, text: str, severity: int) -> list[Payload]:
+    def text(self, text: str, severity: int) -> list[Payload]:
+        """STATUSTEXT in chunks; `severity` of MAV_SEVERITY."""
         self._text_id += 1
         return statustext(text, severity, self._text_id)
 

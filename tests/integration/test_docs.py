@@ -8,6 +8,7 @@ import dataclasses
 import importlib
 import os
 import re
+import runpy
 import select
 import shlex
 import signal
@@ -145,6 +146,14 @@ def test_the_configuration_page_is_in_step() -> None:
     settings = config.default_yaml().partition("\n")[2].strip()
     assert page.endswith(f"```yaml\n{settings}\n```\n"), (
         "run: python docs/reference/make_configuration.py"
+    )
+
+
+def test_the_parameter_page_is_in_step() -> None:
+    folder = ROOT / "docs" / "reference"
+    maker = runpy.run_path(str(folder / "make_parameters.py"))
+    assert (folder / "parameters.md").read_text(encoding="utf-8") == maker["page"](), (
+        "run: python docs/reference/make_parameters.py"
     )
 
 

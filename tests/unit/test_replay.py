@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from pymavlink.dialects.v20 import all as dialect
 
 from mavins.config import Config, load
 from mavins.errors import LogFormatError
+from mavins.estimator.estimator import Estimator, Outputs
 from mavins.logs.tlog import TlogWriter, read_tlog
 from mavins.mavlink.codec import (
     Payload,
@@ -24,8 +26,13 @@ from mavins.mavlink.codec import (
     highres_imu,
     hil_state_quaternion,
 )
+from mavins.mavlink.intake import RELEVANT, Intake
+from mavins.mavlink.parameters import set_again
+from mavins.mavlink.requests import decode_packet
 from mavins.mavlink.settings import SessionSettings
-from mavins.replay import ReplayOptions, grid_us, our_identity, replay, vehicle_of
+from mavins.parameters import ConfigStore, file_keeper
+from mavins.replay import ReplayOptions, grid_us, our_identity, replay, tape_of, tune, vehicle_of
+from mavins.results import ResultWriter
 from mavins.types import GnssFix, ImuSample, TruthSample
 
 # a flight through the estimator takes minutes where nothing is compiled
@@ -184,3 +191,84 @@ def test_origins_that_were_asked_of_us(
     last = (tmp_path / "out/eskf/estimates.csv").read_text().splitlines()[-1]
     p_n = float(last.split(",")[4])
     assert p_n == pytest.approx(-63.7 if taken else 0.0, abs=0.5)
+
+
+def param_set(name: str, value: float, target: int, component: int = 1) -> bytes:
+    message = dialect.MAVLink_param_set_message(target, component, name.encode(), value, 9)
+    return bytes(message.pack(dialect.MAVLink(None, 255, 190)))
+
+
+SETS = [
+    (7.0, "IMU_GYRO_NOISE", 0.05),
+    (8.0, "FILTER", 3.0),
+    (9.0, "GNSS_DELAY", 0.1),
+    (9.5, "GNSS_GATE", -1.0),
+    (10.0, "SRC_HEADING", 2.0),
+    (11.0, "EST_BUFFER", 3.0),
+]
+"""Seconds, names and values: one is out of range, one waits for a restart."""
+
+
+def with_sets(target: int) -> list[tuple[int, Payload | bytes]]:
+    extra = [(round(1e6 * (1 + t)), param_set(n, v, target)) for t, n, v in SETS]
+    return sorted([*still(14.0), *extra], key=lambda item: item[0])
+
+
+def fed_one_by_one(log: Path, out: Path) -> Estimator:
+    """What a live session does: packet by packet, a parameter set at its place."""
+    frames, config = read_tlog(log), Config()
+    with ResultWriter(out, config.states.layout()) as writer:
+        outputs = Outputs(grid_us(50.0), writer.write_rows, writer.write_decision)
+        estimator = Estimator(config, config.filter, outputs)
+        intake = Intake(estimator, config.sources)
+        store = ConfigStore(config, partial(tune, intake), file_keeper(None))
+        for i in range(len(frames)):
+            one = frames.select(np.array([i]))
+            if int(frames.msgid[i]) in RELEVANT:
+                intake.take(one)
+                continue
+            message = decode_packet(frames, i)
+            if message is not None and message.get_type() == "PARAM_SET":
+                set_again(message, store)
+        estimator.finish()
+    return estimator
+
+
+def test_parameters_are_set_again_where_they_were_set(tmp_path: Path) -> None:
+    log = log_of(tmp_path / "a.tlog", with_sets(100))
+    summary = replay(log, tmp_path / "replayed", Config(), ReplayOptions())
+    estimator = fed_one_by_one(log, tmp_path / "live")
+    for name in ("estimates.csv", "innovations.csv"):
+        live = (tmp_path / "live" / name).read_bytes()
+        assert live == (tmp_path / "replayed" / "eskf" / name).read_bytes()
+    assert summary["resets"] == 0
+    assert type(estimator.filter).__name__ == "Ieskf"
+    assert estimator.settings.gnss.delay == 0.1
+    assert estimator.settings.estimator.buffer == Config().estimator.buffer
+    # heading off: nothing but what came before is fused
+    plain = replay(
+        log_of(tmp_path / "b.tlog", still(14.0)), tmp_path / "plain", Config(), ReplayOptions()
+    )
+    fused = [s["aiding"]["heading"]["accepted"] for s in (summary, plain)]
+    assert fused[0] < fused[1]
+
+
+def test_a_comparison_changes_settings_but_not_the_filter(tmp_path: Path) -> None:
+    tape, _ = tape_of(log_of(tmp_path / "a.tlog", with_sets(100)), Config())
+    assert tape.settings == Config()
+    told = [what for name, what in tape.feeds if name == "reconfigure"]
+    assert [s.imu.gyro_noise for s in told] == [0.05] * 4
+    estimator = Estimator(tape.settings, "srcdkf")
+    tape.play(estimator)
+    assert type(estimator.filter).__name__ == "Srcdkf"
+    assert estimator.settings.imu.gyro_noise == 0.05
+
+
+@pytest.mark.parametrize(("target", "component"), [(1, 1), (100, 20)])
+def test_parameters_of_others_are_left_alone(tmp_path: Path, target: int, component: int) -> None:
+    extra = [(8_000_000, param_set("FILTER", 2.0, target, component))]
+    items = sorted([*still(10.0), *extra], key=lambda item: item[0])
+    for name, log in (("set", items), ("plain", still(10.0))):
+        replay(log_of(tmp_path / f"{name}.tlog", log), tmp_path / name, Config(), ReplayOptions())
+    a, b = ((tmp_path / n / "eskf" / "estimates.csv").read_bytes() for n in ("set", "plain"))
+    assert a == b

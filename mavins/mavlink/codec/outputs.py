@@ -45,6 +45,7 @@ _STATUSTEXT: Final = fields_of("STATUSTEXT")
 _COMMAND_ACK: Final = fields_of("COMMAND_ACK")
 _MESSAGE_INTERVAL: Final = fields_of("MESSAGE_INTERVAL")
 _PARAM_VALUE: Final = fields_of("PARAM_VALUE")
+_PARAM_ERROR: Final = fields_of("PARAM_ERROR")
 _AUTOPILOT_VERSION: Final = fields_of("AUTOPILOT_VERSION")
 
 
@@ -298,6 +299,20 @@ def param_value(name: str, value: float, index: int, count: int) -> Payload:
         param_index=index,
         param_count=count,
         param_type=dialect.MAV_PARAM_TYPE_REAL32,
+    )
+
+
+def param_error(
+    name: str, index: int, error: int, target_system: int, target_component: int
+) -> Payload:
+    """PARAM_ERROR with a MAV_PARAM_ERROR for the requester; an index of -1 means that the name counts."""
+    return payload(
+        _PARAM_ERROR,
+        target_system=target_system,
+        target_component=target_component,
+        param_id=name.encode("ascii", "replace"),
+        param_index=index,
+        error=error,
     )
 
 

@@ -61,7 +61,7 @@ def both(
     tape.feeds = feeds
     estimator = Estimator(settings, name, Outputs(100_000, take, None, history))
     tape.play(estimator)
-    blocks = list(smooth(estimator.filter, history, settings.gnss.reset_after))
+    blocks = list(smooth(history))
     blocks.reverse()
     frames = [frame for _, frame in blocks]
     return joined(filtered), joined([block for block, _ in blocks]), estimator, frames

@@ -10,7 +10,12 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import all as dialect
 
-from mavins.estimator.settings import MagnetometerSettings, Settings
+from mavins.estimator.settings import (
+    GnssSettings,
+    HeadingSettings,
+    MagnetometerSettings,
+    Settings,
+)
 from mavins.mavlink.codec import (
     Frames,
     Payload,
@@ -55,6 +60,9 @@ class Ear:
 
     def feed_mag(self, sample: MagSample) -> None:
         self.events.append(("mag", sample.t_us, tuple(sample.field.tolist()), sample.source))
+
+    def reconfigure(self, settings: Settings, filter_name: str = "") -> None:
+        self.events.append(("reconfigure", (settings, filter_name)))
 
     def restart(self, reason: str) -> None:
         self.events.append(("restart", reason))
@@ -211,6 +219,33 @@ class TestSources:
         line.put(imu(1_400_000), 1_000_000 + HEARTBEAT_WAIT_US + 1)
         line.run()
         assert line.intake.autopilot == INVALID
+
+    def test_other_sources_and_delays_on_the_way(self) -> None:
+        line = Line().start(PX4)
+        line.put(raw(1_004_000), 1_004_000)
+        line.run()
+        tuned = Settings(
+            gnss=GnssSettings(delay=0.18), heading=HeadingSettings(max_rate=2.0, delay=0.05)
+        )
+        line.intake.reconfigure(tuned, "iekf", SourceSettings(heading="off"))
+        line.put(raw(1_204_000), 1_204_000)
+        line.put(heading(1_204_000), 1_204_000)
+        ear = line.run()
+        assert [fix.delay for fix in ear.of("gnss")] == [0.0, 0.18]
+        assert ear.of("heading") == []
+        assert ear.of("reconfigure") == [(tuned, "iekf")]
+        line.intake.reconfigure(tuned, "iekf", SourceSettings())
+        line.put(heading(1_304_000), 1_304_000)
+        assert [h.delay for h in line.run().of("heading")] == [0.05]
+        assert line.intake.sources is not None
+        assert line.intake.sources.heading_rate == 2.0
+
+    def test_sources_that_change_before_the_autopilot_is_known(self) -> None:
+        line = Line()
+        line.intake.reconfigure(Settings(), "eskf", SourceSettings(gnss="gps_input"))
+        assert line.intake.sources is None
+        assert line.start(PX4).intake.sources is not None
+        assert line.intake.sources.gnss == "gps_input"
 
     def test_another_component_has_no_say(self) -> None:
         line = Line().start(PX4)
