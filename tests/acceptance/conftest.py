@@ -201,6 +201,12 @@ class Tap:
         mine = f":{self._client[1]:04X}"
         return sum(int(row[-1]) for row in rows if row[1].endswith(mine))
 
+    def unanswered(self) -> Counter[str]:
+        """Answers that the service owes yet."""
+        asked = (ANSWERS.get(message.get_type()) for _, message in self.from_client())
+        given = Counter(message.get_type() for _, message in self.from_service())
+        return Counter(kind for kind in asked if kind is not None) - given
+
     def requests(self) -> Counter[tuple[Any, ...]]:
         """How often the client asked for the same thing."""
         return Counter(
@@ -208,6 +214,14 @@ class Tap:
         )
 
 
+ANSWERS = {
+    "COMMAND_LONG": "COMMAND_ACK",
+    "COMMAND_INT": "COMMAND_ACK",
+    "FILE_TRANSFER_PROTOCOL": "FILE_TRANSFER_PROTOCOL",
+    "MISSION_REQUEST_LIST": "MISSION_COUNT",
+    "PING": "PING",
+}
+"""Request -> what answers each of them."""
 _COMMANDS = ("COMMAND_LONG", "COMMAND_INT")
 _LISTS = ("PARAM_REQUEST_LIST", "MISSION_REQUEST_LIST", "AUTOPILOT_VERSION_REQUEST")
 
