@@ -35,6 +35,9 @@ ESTIMATES: Final = (
 EXTRA: Final = {
     "l_b": "l_b_x,l_b_y,l_b_z,sd_l_b_x,sd_l_b_y,sd_l_b_z",
     "tau": "tau,sd_tau",
+    "b_baro": "b_baro,sd_b_baro",
+    "b_m": "b_m_x,b_m_y,b_m_z,sd_b_m_x,sd_b_m_y,sd_b_m_z",
+    "g_n": "g_n,g_e,sd_g_n,sd_g_e",
 }
 """The columns that follow for each further block of states that is estimated."""
 INNOVATIONS: Final = (
@@ -46,6 +49,7 @@ _DECIMALS: Final = np.array([10, 10, 4] + [6] * 6 + [9] * 7 + [6] * 6 + [9] * 9,
 _HEAD: Final = "%d,%d,%s,%s,%d,%s,%.9g"
 _DECISION: Final = [_HEAD + 2 * (",%.9g" * m + "," * (3 - m)) + "\n" for m in range(4)]
 """The line of a decision on so many rows; what is not known stays empty."""
+_LINES_HELD: Final = 256
 _DEGREES: Final = 180.0 / math.pi
 
 
@@ -97,6 +101,7 @@ class ResultWriter:
     def __init__(self, folder: Path, layout: Layout, keep: bool = False) -> None:
         self._estimates = EstimatesFile(folder / "estimates.csv", layout)
         self._innovations = _open(folder / "innovations.csv", INNOVATIONS)
+        self._lines: list[str] = []
         self._keep = keep
         self._kept: list[tuple[IntArray, FloatArray]] = []
         self.rows = 0
@@ -121,9 +126,9 @@ class ResultWriter:
             return
         r, sigma = event.innovation.tolist(), event.sigma.tolist()
         head = (m.t_us, m.stamp_us, m.aiding, m.source, event.accepted, event.reason, event.nis)
-        line = _DECISION[len(r)] % (*head, *r, *sigma)
-        with _or_say_so(self._innovations):
-            self._innovations.write(line.replace("nan", ""))
+        self._lines.append(_DECISION[len(r)] % (*head, *r, *sigma))
+        if len(self._lines) >= _LINES_HELD:
+            self._write_lines()
 
     def table(self) -> tuple[IntArray, FloatArray]:
         """All rows written so far as (t_us (N,), rows (N, 31)), where they were kept."""
@@ -132,14 +137,24 @@ class ResultWriter:
         times, rows = zip(*self._kept, strict=True)
         return np.concatenate(times), np.concatenate(rows)
 
+    def _write_lines(self) -> None:
+        if not self._lines:
+            return
+        lines = "".join(self._lines).replace("nan", "")
+        self._lines.clear()
+        with _or_say_so(self._innovations):
+            self._innovations.write(lines)
+
     def flush(self) -> None:
         """Hand what is buffered to the operating system."""
+        self._write_lines()
         for file in (self._estimates.file, self._innovations):
             with _or_say_so(file):
                 file.flush()
 
     def close(self) -> None:
         """Write what is buffered and close the files."""
+        self._write_lines()
         for file in (self._estimates.file, self._innovations):
             with _or_say_so(file):
                 file.close()

@@ -5,13 +5,18 @@ from __future__ import annotations
 import math
 
 from mavins.estimator.statistics import AidingStatistics
-from mavins.status import AidingStatus, EstimateStatus, Vector
+from mavins.status import AidingStatus, EstimateStatus, Pair, Vector
 from mavins.types import FloatArray, NavSolution
 
 
 def _vector(values: FloatArray) -> Vector:
     x, y, z = values.tolist()
     return (x, y, z)
+
+
+def _pair(values: FloatArray) -> Pair:
+    x, y = values.tolist()
+    return (x, y)
 
 
 def estimate_status(solution: NavSolution) -> EstimateStatus:
@@ -31,6 +36,12 @@ def estimate_status(solution: NavSolution) -> EstimateStatus:
         sd_lever_arm=_vector(solution.sd_l_b) if solution.sd_l_b.any() else None,
         delay=solution.tau if solution.sd_tau else None,
         sd_delay=solution.sd_tau if solution.sd_tau else None,
+        baro_bias=solution.b_baro if solution.sd_b_baro else None,
+        sd_baro_bias=solution.sd_b_baro if solution.sd_b_baro else None,
+        mag_bias=_vector(solution.b_m) if solution.sd_b_m.any() else None,
+        sd_mag_bias=_vector(solution.sd_b_m) if solution.sd_b_m.any() else None,
+        gravity=_pair(solution.g_n) if solution.sd_g_n.any() else None,
+        sd_gravity=_pair(solution.sd_g_n) if solution.sd_g_n.any() else None,
     )
 
 

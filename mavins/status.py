@@ -14,6 +14,7 @@ from dataclasses import asdict, dataclass, field, fields
 from typing import Any, TypeAlias
 
 Vector: TypeAlias = tuple[float, float, float]
+Pair: TypeAlias = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +37,8 @@ class AidingStatus:
 class EstimateStatus:
     """The estimate and its 1-sigma: p in n, v in l, attitude = (roll, pitch, yaw) in l.
 
-    The lever arm and the delay of GNSS are None where they are not estimated.
+    The lever arm and the delay of GNSS, the biases of barometer (m) and magnetometer (shares of the Earth's field) and
+    the turn of gravity (rad, about north and east) are None where they are not estimated.
     """
 
     lat_deg: float
@@ -52,6 +54,12 @@ class EstimateStatus:
     sd_lever_arm: Vector | None = None
     delay: float | None = None
     sd_delay: float | None = None
+    baro_bias: float | None = None
+    sd_baro_bias: float | None = None
+    mag_bias: Vector | None = None
+    sd_mag_bias: Vector | None = None
+    gravity: Pair | None = None
+    sd_gravity: Pair | None = None
 
 
 @dataclass(frozen=True, slots=True)

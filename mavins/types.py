@@ -128,7 +128,9 @@ class NavSolution:
     Euler angles (Z-Y-X). `w_b` rad/s and `f_b` m/s^2 are the bias-corrected IMU readings, `b_g`, `b_a` the biases.
     `P` (15, 15) is the covariance of the canonical errors p_n, v_n, theta_b, b_g, b_a.
     `sd_euler` (3,) are the sigmas of roll, pitch, yaw. `l_b` (3,) m is the lever arm and `tau` s the delay of GNSS,
-    with their sigmas, which are zero where they are not estimated.
+    `b_baro` m the bias of the barometer, `b_m` (3,) that of the magnetometer, a share of the Earth's field, and `g_n`
+    (2,) rad the turn of normal gravity about north and east; with their sigmas, which are zero where they are not
+    estimated.
     """
 
     t_us: int
@@ -153,6 +155,12 @@ class NavSolution:
     sd_l_b: FloatArray
     tau: float
     sd_tau: float
+    b_baro: float
+    sd_b_baro: float
+    b_m: FloatArray
+    sd_b_m: FloatArray
+    g_n: FloatArray
+    sd_g_n: FloatArray
     health: Health
     reset_counter: int
 

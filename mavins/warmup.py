@@ -32,6 +32,7 @@ from mavins.mavlink.codec import (
 from mavins.mavlink.session import Session
 from mavins.nav.earth import TangentFrame
 from mavins.nav.kernels import CACHE, compiles, is_cached, mark_cached
+from mavins.nav.layout import X_SIZE
 from mavins.table_text import csv_lines
 from mavins.types import GnssFix, ImuSample, Origin, TruthSample
 
@@ -82,7 +83,7 @@ def _in_a_process(stage: str, filter_name: str, report: Report) -> None:
 
 
 def _standing(filter_name: str) -> tuple[Filter, FilterState, TangentFrame]:
-    x, u = np.zeros(20), np.array([0.0, 0.0, 0.0, 0.0, 0.0, -9.81])
+    x, u = np.zeros(X_SIZE), np.array([0.0, 0.0, 0.0, 0.0, 0.0, -9.81])
     x[6] = 1.0
     layout = Config().states.layout()
     algorithm = make(filter_name, ImuNoise(0.01, 0.1, 1e-4, 1e-3), layout)

@@ -1,6 +1,6 @@
 """Barometric altitude, brought to the level of the altitudes in n.
 
-    h = alt(p_n),   H_p = -(the local level frame's down axis in n)
+    h = alt(p_n) + b_baro,   H_p = -(the local level frame's down axis in n),   H_b = 1
 
 Source: Groves (2013), section 6.2.1. Theory: docs/theory/baro.md.
 """
@@ -23,15 +23,16 @@ RANK = 6
 def model(
     x: FloatArray, u: FloatArray, z: FloatArray, parameters: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Residual (1,) in m and Jacobian (1, 19); `parameters` is r0_e (3), then C_ne (9, row-major)."""
+    """Residual (1,) in m and Jacobian (1, 25); `parameters` is r0_e (3), then C_ne (9, row-major)."""
     C_ne = parameters[3:12].reshape(3, 3)
     lla = ecef_to_lla(ecef_of(x[0:3], parameters[:3], C_ne))
     C_ln = dcm_ln(lla[0], lla[1], C_ne)
     r = np.empty(1)
-    r[0] = z[0] - lla[2]
+    r[0] = z[0] - lla[2] - x[20]
     H = np.zeros((1, CANONICAL_SIZE))
     for j in range(3):
         H[0, j] = -C_ln[2, j]
+    H[0, 19] = 1.0
     return r, H
 
 

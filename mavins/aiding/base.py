@@ -10,7 +10,7 @@ from mavins.types import FloatArray
 Model: TypeAlias = Callable[
     [FloatArray, FloatArray, FloatArray, FloatArray], tuple[FloatArray, FloatArray]
 ]
-"""(x (20,), u (6,), z (m,), parameters) -> (residual z - h(x) (m,), H = d h / d canonical errors (m, 19))."""
+"""(x (26,), u (6,), z (m,), parameters) -> (residual z - h(x) (m,), H = d h / d canonical errors (m, 25))."""
 
 
 class Measurement(NamedTuple):
@@ -34,11 +34,11 @@ class Measurement(NamedTuple):
     quality: str = ""
 
     def linearize(self, x: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(r (m,), H (m, 19)) at a nominal state x (20,) with the IMU reading u (6,)."""
+        """(r (m,), H (m, 25)) at a nominal state x (26,) with the IMU reading u (6,)."""
         return self.model(x, u, self.z, self.parameters)
 
     def residuals(self, X: FloatArray, u: FloatArray) -> FloatArray:
-        """The residuals (k, m) of nominal states X (k, 20)."""
+        """The residuals (k, m) of nominal states X (k, 26)."""
         from mavins.aiding.many import (
             residuals,
         )  # it knows every aiding, and each of them this file

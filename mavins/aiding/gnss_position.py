@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from mavins.aiding.base import Measurement
-from mavins.nav.earth import TangentFrame
+from mavins.nav.earth import TangentFrame, dcm_ln, point_n
 from mavins.nav.kernels import kernel
 from mavins.nav.layout import CANONICAL_SIZE
 from mavins.nav.so3 import cross, quat_to_dcm, skew
@@ -29,7 +29,7 @@ _NO_PARAMETERS = np.empty(0)
 def model(
     x: FloatArray, u: FloatArray, z: FloatArray, parameters: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Residual (3,) in m in n and Jacobian (3, 19); `parameters` is tau_0, or nothing where it is the state's tau."""
+    """Residual (3,) in m in n and Jacobian (3, 25); `parameters` is tau_0, or nothing where it is the state's tau."""
     C = quat_to_dcm(x[6:10])
     lever = x[16:19]
     arm = np.empty(3)
@@ -63,6 +63,27 @@ def noise_n(C_ln: FloatArray, sigma_h: float, sigma_v: float) -> FloatArray:
     return R
 
 
+@kernel
+def write_place(
+    lat: float,
+    lon: float,
+    alt: float,
+    r0_e: FloatArray,
+    C_ne: FloatArray,
+    sigma_h: float,
+    sigma_v: float,
+    z: FloatArray,
+    R: FloatArray,
+) -> None:
+    """Write z (3,), the place in n, and R (3, 3): one call for what a fix needs."""
+    p_n = point_n(lat, lon, alt, r0_e, C_ne)
+    R_n = noise_n(dcm_ln(lat, lon, C_ne), sigma_h, sigma_v)
+    for i in range(3):
+        z[i] = p_n[i]
+        for j in range(3):
+            R[i, j] = R_n[i, j]
+
+
 def measure(
     fix: GnssFix,
     t_us: int,
@@ -77,14 +98,16 @@ def measure(
 
     `tau` (1,) is the delay in s that `t_us` was found with, where the delay is estimated.
     """
+    z, R = np.empty(3), np.empty((3, 3))
+    write_place(fix.lat, fix.lon, fix.alt, frame.r0_e, frame.C_ne, sigma_h, sigma_v, z, R)
     return Measurement(
         NAME,
         RANK,
         fix.source,
         fix.t_us,
         t_us,
-        frame.from_lla(fix.lat, fix.lon, fix.alt),
-        noise_n(frame.local_level(fix.lat, fix.lon), sigma_h, sigma_v),
+        z,
+        R,
         tau,
         model,
         gate,

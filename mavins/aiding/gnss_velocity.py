@@ -1,12 +1,12 @@
 """GNSS velocity of the antenna in the local level frame, with or without its vertical component.
 
-    h = S C_ln (v_n + C_nb [w]x l_b + (tau_0 - tau) a),   w = w_b - b_g,   S the measured rows (2 or 3)
+    h = S C_ln (v_n + C_nb [w]x l_b + (tau_0 - tau) s a),   w = w_b - b_g,   S the measured rows (2 or 3)
     H_v = S C_ln,   H_theta = -S C_ln C_nb [w x l_b]x,   H_bg = S C_ln C_nb [l_b]x,   H_l = S C_ln C_nb [w]x,
-    H_tau = -S C_ln a,   a = v' + d/dt (C_nb [w]x l_b) ~ C_nb (f_b - b_a) + g_n + C_nb [w]x [w]x l_b
+    H_tau = -S C_ln s a,   a = v' + d/dt (C_nb [w]x l_b) ~ C_nb (f_b - b_a) + g_n + C_nb [w]x [w]x l_b
 
 tau_0 is the delay that the instant of the state was found with (gnss_position.py). Where the delay is estimated, a is
-that of a mean reading around the instant, and H_tau is weighted by the share of it that is signal: noise would pass for
-information on the delay (docs/theory/gnss.md).
+that of a mean reading around the instant, weighted by the share s of it that is signal: noise would pass for
+information on the delay (docs/theory/gnss.md). Elsewhere s = 1.
 Source: Groves (2013), section 14.3. Theory: docs/theory/gnss.md.
 """
 
@@ -20,6 +20,7 @@ from mavins.aiding.base import Measurement
 from mavins.nav.earth import TangentFrame, dcm_ln, gravity_n, point_n
 from mavins.nav.kernels import kernel
 from mavins.nav.layout import CANONICAL_SIZE
+from mavins.nav.s2 import tilted
 from mavins.nav.so3 import cross, quat_to_dcm
 from mavins.types import FloatArray, GnssFix
 
@@ -33,10 +34,10 @@ _ISOTROPIC = {m: np.eye(m) for m in (2, 3)}
 def model(
     x: FloatArray, u: FloatArray, z: FloatArray, parameters: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Residual (m,) in m/s in l and Jacobian (m, 19), m = 2 or 3.
+    """Residual (m,) in m/s in l and Jacobian (m, 25), m = 2 or 3.
 
     `parameters` is C_ln at the fix (9, row-major), then g_n there (3); where the delay is estimated, then tau_0, the
-    mean reading (6, as u) and the weight of H_tau.
+    mean reading (6, as u) and the weight s of the acceleration.
     """
     m = len(z)
     C = quat_to_dcm(x[6:10])
@@ -49,11 +50,12 @@ def model(
     mean = parameters[13:19] if estimated else u
     mean_w = mean[0:3] - x[10:13]
     turning_b = cross(mean_w, cross(mean_w, lever))
+    g_n = tilted((x[24], x[25]), (parameters[9], parameters[10], parameters[11]))
     v = np.empty(3)
     acceleration = np.empty(3)
     for i in range(3):
         v[i] = x[3 + i]
-        acceleration[i] = parameters[9 + i]
+        acceleration[i] = g_n[i]
         for j in range(3):
             v[i] += C[i, j] * swing_b[j]
             acceleration[i] += C[i, j] * (mean[3 + j] - x[13 + j] + turning_b[j])
@@ -72,8 +74,8 @@ def model(
                 + parameters[3 * i + 1] * C[1, j]
                 + parameters[3 * i + 2] * C[2, j]
             )
-        r[i] += late * H[i, 18]
         H[i, 18] *= weight
+        r[i] += late * H[i, 18]
         # a row s of S C times [a]x is s x a
         d_theta = cross(SC, swing_b)
         d_bias = cross(SC, lever)

@@ -32,7 +32,7 @@ def _turn_to_level(p_n: FloatArray, parameters: FloatArray) -> FloatArray:
 def model(
     x: FloatArray, u: FloatArray, z: FloatArray, parameters: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Residual (1,) in rad and Jacobian (1, 19); `parameters` is r0_e (3), then C_ne (9, row-major).
+    """Residual (1,) in rad and Jacobian (1, 25); `parameters` is r0_e (3), then C_ne (9, row-major).
 
     The local level frame is the one at x: were it found when the heading arrives, a late fix that moves the state would
     leave a trace in it that the same fix in time does not.

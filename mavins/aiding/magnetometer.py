@@ -1,11 +1,17 @@
-"""Magnetometer: the Earth's field along the body's axes.
+"""Magnetometer: the Earth's field along the body's axes, and the vehicle's own.
 
-    h = C_nb^T m_n,   H_theta = [h]x
+    h = C_nb^T m_n + b_m,   H_theta = [C_nb^T m_n]x,   H_b = I
+
+Of a direction z, whose strength is not known, what it says is compared at the strength that the state expects:
+
+    r = |h| z - h,   H_theta and H_b as above times I - z h^T/|h|
 
 Source: Sola (2017), section 4 (the right Jacobian of a rotated vector). Theory: docs/theory/magnetometer.md.
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
@@ -23,17 +29,29 @@ RANK = 4
 def model(
     x: FloatArray, u: FloatArray, z: FloatArray, parameters: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Residual (3,) in b and Jacobian (3, 19); `parameters` is the field m_n (3), in the unit of z."""
+    """Residual (3,) in b and Jacobian (3, 25); `parameters` is the field m_n (3), in the unit of z.
+
+    Where z is a direction, m_n is a unit vector, and a 1 follows it.
+    """
     C = quat_to_dcm(x[6:10])
-    h = np.empty(3)
+    m_b = np.empty(3)
     for i in range(3):
-        h[i] = C[0, i] * parameters[0] + C[1, i] * parameters[1] + C[2, i] * parameters[2]
-    S = skew(h)
+        m_b[i] = C[0, i] * parameters[0] + C[1, i] * parameters[1] + C[2, i] * parameters[2]
+    S = skew(m_b)
     H = np.zeros((3, CANONICAL_SIZE))
     for i in range(3):
+        H[i, 20 + i] = 1.0
         for j in range(3):
             H[i, 6 + j] = S[i, j]
-    return z - h, H
+    h = m_b + x[21:24]
+    if len(parameters) == 3:
+        return z - h, H
+    strength = math.sqrt(h[0] * h[0] + h[1] * h[1] + h[2] * h[2])
+    for j in range(6, 23):
+        along = (h[0] * H[0, j] + h[1] * H[1, j] + h[2] * H[2, j]) / strength
+        for i in range(3):
+            H[i, j] -= along * z[i]
+    return strength * z - h, H
 
 
 def measure(
@@ -44,10 +62,12 @@ def measure(
     field_n: FloatArray,
     sigma: float,
     gate: float,
+    directions: bool = False,
 ) -> Measurement:
     """A field (3,) along the body's axes, valid at `t_us`, where the reference is `field_n` (3,).
 
-    The 1-sigma noise of each axis is in the unit of the field, which may be any.
+    The 1-sigma noise of each axis is in the unit of the field, which may be any. With `directions` both are unit
+    vectors, and how strong the field was is not known: it need not be the reference's where the vehicle adds to it.
     """
     return Measurement(
         NAME,
@@ -57,7 +77,7 @@ def measure(
         t_us,
         np.array(field_b, dtype=np.float64),
         np.eye(3) * sigma**2,
-        np.array(field_n, dtype=np.float64),
+        np.append(field_n, 1.0) if directions else np.array(field_n, dtype=np.float64),
         model,
         gate,
     )

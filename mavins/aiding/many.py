@@ -23,7 +23,7 @@ from mavins.types import FloatArray
 def residuals(
     rank: int, X: FloatArray, u: FloatArray, z: FloatArray, parameters: FloatArray
 ) -> FloatArray:
-    """Residuals (k, m) of the aiding with this rank at the nominal states X (k, 20)."""
+    """Residuals (k, m) of the aiding with this rank at the nominal states X (k, 26)."""
     out = np.empty((len(X), len(z)))
     for k in range(len(X)):
         if rank == gnss_position.RANK:

@@ -25,7 +25,7 @@ RANK = 8
 def model(
     x: FloatArray, u: FloatArray, z: FloatArray, parameters: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Residual (2,) in m/s in b and Jacobian (2, 19); `parameters` is the lever arm l_b (3)."""
+    """Residual (2,) in m/s in b and Jacobian (2, 25); `parameters` is the lever arm l_b (3)."""
     C = quat_to_dcm(x[6:10])
     v_b = np.empty(3)
     for i in range(3):

@@ -25,7 +25,7 @@ RANK = 5
 def model(
     x: FloatArray, u: FloatArray, z: FloatArray, parameters: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Residual (3,) in rad/s in b and Jacobian (3, 19); `parameters` is w_ie_n (3,)."""
+    """Residual (3,) in rad/s in b and Jacobian (3, 25); `parameters` is w_ie_n (3,)."""
     C = quat_to_dcm(x[6:10])
     w_ie_b = np.empty(3)
     for i in range(3):

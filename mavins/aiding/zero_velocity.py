@@ -22,7 +22,7 @@ RANK = 3
 def model(
     x: FloatArray, u: FloatArray, z: FloatArray, parameters: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Residual (3,) in m/s in n and Jacobian (3, 19); `parameters` is not used."""
+    """Residual (3,) in m/s in n and Jacobian (3, 25); `parameters` is not used."""
     r = z - x[3:6]
     H = np.zeros((3, CANONICAL_SIZE))
     for i in range(3):

@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--states",
         choices=("all", "core", "configured"),
         default="all",
-        help="all 19 errors (default), the 15 core ones, or those of the configuration",
+        help="all 19 errors of INS and GNSS (default), the 15 core ones, or those of the configuration",
     )
     parser.add_argument(
         "--without",
@@ -66,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
     from mavins.config import load
     from mavins.evaluation.observability import analyse, prior_sigmas
     from mavins.evaluation.observability_table import as_dict, table_lines
-    from mavins.nav.layout import BLOCKS, CORE, Layout
+    from mavins.nav.layout import CORE, Layout
     from mavins.results import check_folder, write_json
 
     without = tuple(filter(None, args.without.split(",")))
@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
     check_folder(args.out)
     settings, course = course_of(args, load(args.config))
     layouts = {
-        "all": Layout.of(BLOCKS),
+        "all": Layout.of((*CORE, "l_b", "tau")),
         "core": Layout.of(CORE),
         "configured": settings.states.layout(),
     }

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Final, Protocol, TextIO
 
 from mavins.status import (
@@ -125,6 +125,21 @@ def to_plain(snapshot: StatusSnapshot) -> str:
     return "\n".join(f"{head}  {_plain_vehicle(vehicle)}" for vehicle in snapshot.vehicles)
 
 
+def _plain_biases(estimate: EstimateStatus) -> list[str]:
+    """What is estimated of barometer, magnetometer and gravity."""
+    parts = []
+    if estimate.baro_bias is not None:
+        parts.append(f"baro bias {estimate.baro_bias:.2f} m (±{estimate.sd_baro_bias:.2f})")
+    if estimate.mag_bias is not None and estimate.sd_mag_bias is not None:
+        sigma = _join(estimate.sd_mag_bias, ".3f", "/")
+        parts.append(f"mag bias {_join(estimate.mag_bias, '.3f')} (±{sigma})")
+    if estimate.gravity is not None and estimate.sd_gravity is not None:
+        value = _join(map(math.degrees, estimate.gravity), ".2f")
+        sigma = _join(map(math.degrees, estimate.sd_gravity), ".2f", "/")
+        parts.append(f"gravity {value} deg (±{sigma})")
+    return parts
+
+
 def _plain_vehicle(vehicle: VehicleStatus) -> str:
     parts = [f"vehicle {vehicle.sysid}: {_health(vehicle)}"]
     estimate = vehicle.estimate
@@ -140,6 +155,7 @@ def _plain_vehicle(vehicle: VehicleStatus) -> str:
             parts.append(f"lever arm {_join(estimate.lever_arm, '.2f')} m (±{sigma})")
         if estimate.delay is not None:
             parts.append(f"delay {estimate.delay:.3f} s (±{estimate.sd_delay:.3f})")
+        parts += _plain_biases(estimate)
     if vehicle.rates:
         parts.append(", ".join(f"{name} {rate:.0f} Hz" for name, rate in vehicle.rates.items()))
     parts.append(f"rejected {rejected_total(vehicle)}")
@@ -189,7 +205,7 @@ def _fit(values: Vector, width: int, digits: int, sign: str = "") -> str:
     return next((text for text in texts if len(text) == 3 * width + 2), _join(values, ".0e"))
 
 
-def _join(values: Vector, form: str, separator: str = " ") -> str:
+def _join(values: Iterable[float], form: str, separator: str = " ") -> str:
     return separator.join(format(value, form) for value in values)
 
 
@@ -260,6 +276,16 @@ def _append_estimate(text: Text, estimate: EstimateStatus, error: TruthError | N
         text.append(f"{'lever arm m':11} {line}\n")
     if estimate.delay is not None:
         text.append(f"{'delay s':11} {estimate.delay:7.3f} {'':15}  {estimate.sd_delay:5.3f}\n")
+    if estimate.baro_bias is not None:
+        line = f"{estimate.baro_bias:7.2f} {'':15}  {estimate.sd_baro_bias:5.2f}"
+        text.append(f"{'baro bias m':11} {line}\n")
+    if estimate.mag_bias is not None and estimate.sd_mag_bias is not None:
+        line = f"{_fit(estimate.mag_bias, 7, 3)}  {_fit(estimate.sd_mag_bias, 5, 3)}"
+        text.append(f"{'mag bias':11} {line}\n")
+    if estimate.gravity is not None and estimate.sd_gravity is not None:
+        turn = _join(map(math.degrees, estimate.gravity), "7.2f")
+        sd = _join(map(math.degrees, estimate.sd_gravity), "5.2f")
+        text.append(f"{'gravity deg':11} {turn} {'':7}  {sd}\n")
     place = f"{estimate.lat_deg:.7f}  {estimate.lon_deg:.7f}  {estimate.alt:.2f} m"
     text.append(f"{'lat lon alt':11}   {place}\n")
 

@@ -30,7 +30,8 @@ _DIP_LIMIT = math.radians(30.0)
 class Candidate:
     """All that a start needs: the fix and its valid time, the heading, IMU means over the window, and the motion.
 
-    `attitude` is that at the fix where motion has shown it.
+    `attitude` is that at the fix where motion has shown it, `yaw_by_mag` (3,) what a bias of the magnetic field's
+    direction, in l, adds to the heading where that is the field's.
     """
 
     t_us: int
@@ -41,6 +42,7 @@ class Candidate:
     acceleration_l: FloatArray
     standing: bool
     attitude: MotionAttitude | None = None
+    yaw_by_mag: FloatArray | None = None
 
 
 class Aligner:
@@ -82,13 +84,13 @@ class Aligner:
         """The direction (3,) of the magnetic field in b with its valid time."""
         self._field = (t_us, direction_b)
 
-    def tick(self, buffer: ImuBuffer, now_us: int) -> None:
-        """Look at the IMU rows up to `now_us`, the newest stamp."""
+    def tick(self, buffer: ImuBuffer, now_us: int, asked: bool = True) -> None:
+        """Look at the IMU rows up to `now_us`, the newest stamp; `asked` where what motion shows is wanted now."""
         if not self.standing.moved:
             self.standing.tick(buffer, now_us)
         if self.standing.standing:
             self.motion.rest(self.standing.gyro_b)
-        self.motion.step(buffer, now_us)
+        self.motion.step(buffer, now_us, asked)
 
     def from_motion(self, buffer: ImuBuffer, now_us: int, buffer_us: int) -> Candidate | None:
         """A start from the attitude that motion shows; None where it is not to be trusted."""
@@ -128,16 +130,33 @@ class Aligner:
         if isinstance(heading, str):
             return heading
         return Candidate(
-            t_us, fix, heading, means[:3].copy(), means[3:].copy(), acceleration_l, standing
+            t_us,
+            fix,
+            heading,
+            means[:3].copy(),
+            means[3:].copy(),
+            acceleration_l,
+            standing,
+            yaw_by_mag=None if heading is self._fresh_heading(now_us) else self._yaw_by_mag(fix),
         )
+
+    def _fresh_heading(self, now_us: int) -> HeadingFix | None:
+        """The newest heading, if it is of late."""
+        seen, age_us = self._heading, self._settings.alignment.heading_age * 1e6
+        return seen[1] if seen is not None and now_us - seen[0] <= age_us else None
+
+    def _yaw_by_mag(self, fix: GnssFix) -> FloatArray:
+        """What a bias of the field's direction, in l, adds to the yaw that is found from it."""
+        m = self._compass.reference_l(fix.lat, fix.lon, fix.alt)
+        return np.array([m[1], -m[0], 0.0]) / float(m[0] ** 2 + m[1] ** 2)
 
     def _heading_now(
         self, now_us: int, fix: GnssFix, accel_b: FloatArray, acceleration_l: FloatArray
     ) -> HeadingFix | str:
         """The newest heading, or where there is none of late the one that the levelled magnetic field shows."""
         s = self._settings
-        if self._heading and now_us - self._heading[0] <= s.alignment.heading_age * 1e6:
-            return self._heading[1]
+        if (heading := self._fresh_heading(now_us)) is not None:
+            return heading
         assert self._field is not None
         t_us, direction_b = self._field
         reference_l = self._compass.reference_l(fix.lat, fix.lon, fix.alt)
@@ -211,6 +230,10 @@ class Aligner:
             sigma_lever=s.states.lever_arm_sigma,
             delay=fix.delay,
             sigma_delay=s.states.gnss_delay_sigma,
+            sigma_baro=s.states.baro_bias_sigma,
+            sigma_mag=s.states.mag_bias_sigma,
+            sigma_gravity=math.radians(s.states.gravity_sigma_deg),
+            yaw_by_mag=candidate.yaw_by_mag,
             q_nb=q_lb,
         )
         x, P = initial_state(start, layout)

@@ -15,8 +15,11 @@ import numpy as np
 
 from mavins.nav.layout import (
     B_A,
+    B_BARO,
     B_G,
+    B_M,
     CANONICAL_SIZE,
+    G_N,
     L_B,
     P_N,
     TAU,
@@ -63,7 +66,8 @@ class Start:
 
     `accel_b` (3,) is the mean over the window; `push_n` (3,) is a_n - g_n; position, velocity and their (3, 3)
     noise covariances are in n. Sigmas in rad, rad/s, m/s^2; `b_g` (3,) with `sigma_b_g` is the gyro bias. Where the
-    attitude `q_nb` (4,) is known, nothing is levelled.
+    attitude `q_nb` (4,) is known, nothing is levelled. Where the yaw is that of a magnetic field, `yaw_by_mag` (3,) is
+    what a bias of it, along the axes of n, adds to the yaw.
     """
 
     accel_b: FloatArray
@@ -82,11 +86,15 @@ class Start:
     sigma_lever: float = 0.0
     delay: float = 0.0
     sigma_delay: float = 0.0
+    sigma_baro: float = 0.0
+    sigma_mag: float = 0.0
+    sigma_gravity: float = 0.0
+    yaw_by_mag: FloatArray | None = None
     q_nb: FloatArray | None = None
 
 
 def initial_state(start: Start, layout: Layout) -> tuple[FloatArray, FloatArray]:
-    """(x (20,), P over the errors of the layout) of the first state; the antenna's position is brought to the IMU."""
+    """(x (26,), P over the errors of the layout) of the first state; the antenna's position is brought to the IMU."""
     x = np.zeros(X_SIZE)
     known = start.q_nb
     x[X_Q] = level(start.accel_b, start.push_n, start.yaw_n) if known is None else known
@@ -99,6 +107,9 @@ def initial_state(start: Start, layout: Layout) -> tuple[FloatArray, FloatArray]
     P = np.zeros((CANONICAL_SIZE, CANONICAL_SIZE))
     P[L_B, L_B] = np.eye(3) * start.sigma_lever**2
     P[TAU, TAU] = start.sigma_delay**2
+    P[B_BARO, B_BARO] = start.sigma_baro**2
+    P[B_M, B_M] = np.eye(3) * start.sigma_mag**2
+    P[G_N, G_N] = np.eye(2) * start.sigma_gravity**2
     P[P_N, P_N] = start.R_p
     P[V_N, V_N] = start.R_v
     P[B_G, B_G] = np.eye(3) * start.sigma_b_g**2
@@ -119,9 +130,21 @@ def initial_state(start: Start, layout: Layout) -> tuple[FloatArray, FloatArray]
     )
     P[THETA_B, B_A] = J * start.sigma_b_a**2
     P[B_A, THETA_B] = P[THETA_B, B_A].T
+    if "b_m" in layout.blocks and start.yaw_by_mag is not None:
+        _correlate(P, B_M, -np.outer(down_b, start.yaw_by_mag @ C), start.sigma_mag)
+    if "g_n" in layout.blocks:
+        # levelled is what lies along gravity as it is
+        _correlate(P, G_N, keep_yaw @ C.T[:, :2], start.sigma_gravity)
     if "l_b" in layout.blocks:
         # the position of the IMU is as little known as the way to the antenna
         P[P_N, P_N] += start.sigma_lever**2 * np.eye(3)
         P[P_N, L_B] = -C * start.sigma_lever**2
         P[L_B, P_N] = P[P_N, L_B].T
     return x, P[np.ix_(layout.columns, layout.columns)]
+
+
+def _correlate(P: FloatArray, block: slice, J: FloatArray, sigma: float) -> None:
+    """Let the attitude have an error J d (3,) more, of the error d of a block with this sigma."""
+    P[THETA_B, THETA_B] += J @ J.T * sigma**2
+    P[THETA_B, block] = J * sigma**2
+    P[block, THETA_B] = P[THETA_B, block].T

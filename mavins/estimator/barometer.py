@@ -1,7 +1,8 @@
 """A barometer's altitude brought to the level of GNSS altitudes.
 
 Weather and habit put the zero of a barometer anywhere. The difference to GNSS altitude is tracked beside the filter,
-slowly, so that GNSS noise is averaged and the barometer's quick motion remains. Theory: docs/theory/baro.md.
+slowly, so that GNSS noise is averaged and the barometer's quick motion remains. Where the filter has the barometer's
+bias among its states, only the first difference is taken away, and what of it jumps later. Theory: docs/theory/baro.md.
 """
 
 from __future__ import annotations
@@ -20,16 +21,21 @@ _JUMPED: Final = 3
 
 
 class Barometer:
-    """One barometer. `offset` is its reading minus GNSS altitude in m, with the variance of its error."""
+    """One barometer. `offset` is its reading minus GNSS altitude in m, with the variance of its error.
 
-    def __init__(self, settings: BaroSettings) -> None:
+    With `bias_in_filter` readings are lowered by `base` instead: the first offset, and the jumps since.
+    """
+
+    def __init__(self, settings: BaroSettings, bias_in_filter: bool = False) -> None:
         self.settings = settings
+        self._bias_in_filter = bias_in_filter
         self._last: BaroSample | None = None
         self._taken_us: int | None = None
         self._compared_us = 0
         self._outside = 0
         self.offset = math.nan
         self.variance = math.inf
+        self.base = math.nan
 
     def see_fix(self, t_us: int, alt: float, sigma: float) -> None:
         """Compare a GNSS altitude valid at `t_us` with the newest reading: a Kalman filter of one state."""
@@ -65,9 +71,13 @@ class Barometer:
         ):
             return None
         self._taken_us = sample.t_us
+        if self._bias_in_filter:
+            return sample.alt - self.base, self.settings.sigma
         return sample.alt - self.offset, math.sqrt(self.settings.sigma**2 + self.variance)
 
     def _restart(self, difference: float, noise: float, t_us: int) -> None:
+        first = math.isnan(self.offset)
+        self.base = difference if first else self.base + difference - self.offset
         self.offset, self.variance = difference, noise
         self._compared_us = t_us
         self._outside = 0

@@ -12,6 +12,7 @@ class ImuBuffer:
     """IMU rows in the order of their stamps: `t_us` and readings [gyro_b, accel_b] (6,).
 
     Rows are numbered from the first one ever appended; old ones are dropped, the numbers of the others stay.
+    `newest_us` is the newest stamp, -1 before the first.
     """
 
     def __init__(self, capacity: int = 1024) -> None:
@@ -19,6 +20,7 @@ class ImuBuffer:
         self._imu = np.empty((capacity, 6))
         self._first = 0
         self._length = 0
+        self.newest_us = -1
 
     @property
     def first(self) -> int:
@@ -32,11 +34,6 @@ class ImuBuffer:
 
     def __len__(self) -> int:
         return self._length
-
-    @property
-    def newest_us(self) -> int:
-        """The newest stamp."""
-        return int(self._t[self._length - 1])
 
     @property
     def oldest_us(self) -> int:
@@ -56,6 +53,8 @@ class ImuBuffer:
         self._t[self._length : self._length + n] = t_us
         self._imu[self._length : self._length + n] = imu
         self._length += n
+        if n:
+            self.newest_us = int(t_us[-1])
 
     def insert(self, t_us: int, reading: FloatArray) -> int:
         """Put a late row where it belongs and return its number; later rows move up by one."""
@@ -68,6 +67,7 @@ class ImuBuffer:
         self._t[i] = t_us
         self._imu[i] = reading
         self._length += 1
+        self.newest_us = max(self.newest_us, t_us)
         return self._first + i
 
     def drop_before(self, t_us: int) -> None:
@@ -97,8 +97,14 @@ class ImuBuffer:
         """Readings (N, 6) of rows first to end (exclusive), a view."""
         return self._imu[first - self._first : end - self._first]
 
+    def stamp(self, row: int) -> int:
+        """The stamp of one row."""
+        return int(self._t[row - self._first])
+
     def row_after(self, t_us: int) -> int:
         """The number of the first row with a stamp later than t_us."""
+        if t_us >= self.newest_us:
+            return self._first + self._length
         return self._first + int(self._t[: self._length].searchsorted(t_us, "right"))
 
     def reading_at(self, t_us: int) -> FloatArray:

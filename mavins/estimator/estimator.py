@@ -12,27 +12,15 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
-import numpy as np
-
-from mavins.aiding import (
-    Measurement,
-    baro,
-    gnss_position,
-    gnss_velocity,
-    heading,
-    magnetometer,
-    zero_rate,
-    zero_velocity,
-)
+from mavins.aiding import Measurement, zero_rate, zero_velocity
 from mavins.aiding.detectors import gnss_speed
 from mavins.estimator.aligner import Aligner, Candidate
-from mavins.estimator.barometer import Barometer
-from mavins.estimator.compass import Compass
 from mavins.estimator.fusion import Event, Fusion, Track
 from mavins.estimator.gate import gate_threshold
+from mavins.estimator.health import judged
 from mavins.estimator.history import History
 from mavins.estimator.imu_rows import TICK_US, run_end, to_body, turn_of
-from mavins.estimator.latency import delay_parameters
+from mavins.estimator.measuring import Measuring
 from mavins.estimator.pseudo import gravity_tilt_at, nonholonomic_at
 from mavins.estimator.quality import noise_of, objection
 from mavins.estimator.reconfigure import (
@@ -46,13 +34,12 @@ from mavins.estimator.settings import Settings
 from mavins.estimator.solution import solution_of
 from mavins.estimator.standing import HALF_WINDOW_US
 from mavins.estimator.statistics import AidingStatistics
+from mavins.estimator.still import Still, still_detector
 from mavins.estimator.timeline import Timeline
 from mavins.estimator.yaw_watch import YawWatch
 from mavins.filters import Filter, FilterState, RowBlock, make
 from mavins.nav.earth import TangentFrame
-from mavins.nav.layout import X_TAU
 from mavins.nav.linalg import is_sane
-from mavins.nav.so3 import dcm_to_quat, quat_to_dcm
 from mavins.types import (
     BaroSample,
     FloatArray,
@@ -65,13 +52,6 @@ from mavins.types import (
     NavSolution,
     Origin,
 )
-
-RESETS_TO_DIVERGE = 3
-DIVERGE_WITHIN_US = 60_000_000
-_NOTHING = np.empty(0)
-YAW_SILENT_US = 5_000_000
-YAW_SIGMA = math.radians(8.0)
-"""Without a heading for this long and with a larger sigma, the status says that yaw is not observable."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,10 +89,9 @@ class Estimator:
         self.realignments = 0
         self.loss = ""
         self._resets_before = 0
-        self._first_delay = 0.0
-        self._compass = Compass(settings.magnetometer)
-        self._barometer = Barometer(settings.baro)
-        self._aligner = Aligner(settings, self._compass)
+        self._measuring = Measuring(settings, self.filter.layout.blocks)
+        self._aligner = Aligner(settings, self._measuring.compass)
+        self._still = still_detector(settings.zero_velocity)
         self._yaw_watch = YawWatch()
         self._line = self._new_line()
         self.health = Health.WAITING
@@ -150,10 +129,8 @@ class Estimator:
         self._wanted_origin = origin
         if self.frame is None:
             return
-        old, new = self.frame, TangentFrame.at(origin)
-        self.frame = new
-        if self._line.state is not None:
-            _carry_over(self._line.state, old, new)
+        new = self.frame = TangentFrame.at(origin)
+        if self.running:
             self._resets_before += 1
             self._decide(self._line.change_frame(new))
 
@@ -166,12 +143,10 @@ class Estimator:
         replaced = filter_name not in ("", self._filter_name)
         self.settings = new
         self._filter_name = filter_name or self._filter_name
-        if old.magnetometer != new.magnetometer:
-            self._compass = Compass(new.magnetometer)
-        self._barometer.settings = new.baro
-        self._aligner.reconfigure(new, self._compass)
-        if delay_told(old, new):
-            self._first_delay = math.nan
+        self._measuring.reconfigure(new, delay_told(old, new))
+        self._aligner.reconfigure(new, self._measuring.compass)
+        if old.zero_velocity != new.zero_velocity:
+            self._still = still_detector(new.zero_velocity)
         if replaced or needs_filter(old, new):
             self.filter = self._make_filter()
             self._decide(self._line.change_filter(Fusion(self.filter, new.gnss.reset_after)))
@@ -207,94 +182,53 @@ class Estimator:
 
     def feed_gnss(self, fix: GnssFix) -> None:
         """Take a GNSS fix."""
-        t_us, delay = self._valid_time(fix)
-        quality = objection(fix, self.settings.gnss)
-        speed = gnss_speed(fix)
-        if not quality and not math.isnan(speed):
-            self._aligner.standing.see_speed(speed)
-        settings = self.settings.gnss
-        noise = noise_of(fix, settings)
+        measuring, settings = self._measuring, self.settings.gnss
+        self._begin_delay(fix)
+        state, frame = self._line.state, self.frame
+        t_us, delay = measuring.fix_time(fix, state, frame, self._line.buffer)
+        quality, noise = objection(fix, settings), noise_of(fix, settings)
         if not quality:
-            self._barometer.see_fix(t_us, fix.alt, noise.v)
+            speed = gnss_speed(fix)
+            if not math.isnan(speed):
+                self._aligner.standing.see_speed(speed, t_us)
+            measuring.barometer.see_fix(t_us, fix.alt, noise.v)
         self._aligner.see_fix(fix, t_us)
-        if not self.running or self.frame is None:
+        if state is not None and frame is not None:
+            self._take(*measuring.of_fix(fix, t_us, frame, noise, quality, delay))
+
+    def _begin_delay(self, fix: GnssFix) -> None:
+        """Estimate the delay anew, from this fix's on, where another one has been told."""
+        state, frame = self._line.state, self.frame
+        if state is None or frame is None or not self._measuring.begins_delay(fix):
             return
-        self._take(
-            gnss_position.measure(
-                fix, t_us, self.frame, noise.h, noise.v, settings.gate, quality, delay[:1]
-            )
-        )
-        velocity = gnss_velocity.measure(
-            fix, t_us, self.frame, noise.speed, settings.gate, quality, delay
-        )
-        if velocity is not None:
-            self._take(velocity)
-
-    def _valid_time(self, fix: GnssFix) -> tuple[int, FloatArray]:
-        """When a fix was valid; where the delay is estimated, also what its measurements need (latency.py).
-
-        What one fix's delay is said to differ from another's stays; the estimate is of what they have in common.
-        """
-        state = self._line.state
-        if state is None or self.frame is None or "tau" not in self.filter.layout.blocks:
-            return fix.t_us - round(fix.delay * 1e6), _NOTHING
-        if math.isnan(self._first_delay):
-            self._first_delay = fix.delay
-            sigma = self.settings.states.gnss_delay_sigma
-            begin_delay(state, self.filter.layout, fix.delay, sigma)
-            self._decide(self._line.change_frame(self.frame))
-        delay = float(state.x[X_TAU]) + fix.delay - self._first_delay
-        t_us = fix.t_us - round(delay * 1e6)
-        return t_us, delay_parameters(state, self.frame, self._line.buffer, t_us)
+        sigma = self.settings.states.gnss_delay_sigma
+        begin_delay(state, self.filter.layout, fix.delay, sigma)
+        self._decide(self._line.change_frame(frame))
 
     def feed_heading(self, fix: HeadingFix) -> None:
         """Take a heading."""
-        t_us = fix.t_us - round(fix.delay * 1e6)
-        if not self.running or self.frame is None:
-            self._aligner.see_heading(fix, t_us)
-            return
-        sigma = self.heading_sigma(fix)
-        self._take(heading.measure(fix, t_us, self.frame, sigma, self.settings.heading.gate))
-
-    def heading_sigma(self, fix: HeadingFix) -> float:
-        """The 1-sigma noise (rad) taken for a heading."""
-        return fix.sigma if fix.sigma is not None else math.radians(self.settings.heading.sigma_deg)
+        measuring = self._measuring
+        if self.running and self.frame is not None:
+            self._take(measuring.of_heading(fix, self.frame))
+        else:
+            self._aligner.see_heading(fix, measuring.heading_time(fix))
 
     def feed_mag(self, sample: MagSample) -> None:
         """Take a reading of a magnetometer."""
-        direction_b = self._compass.direction_b(sample)
+        measuring = self._measuring
+        direction_b = measuring.compass.direction_b(sample)
         if direction_b is None:
             return
-        settings = self.settings.magnetometer
-        t_us = sample.t_us - round(settings.delay * 1e6)
-        if not self.running or self.frame is None:
-            self._aligner.see_field(direction_b, t_us)
-            return
-        field_n = self._compass.reference_n(self.frame)
-        self._take(
-            magnetometer.measure(
-                sample.source,
-                sample.t_us,
-                t_us,
-                direction_b,
-                field_n,
-                settings.sigma,
-                settings.gate,
-            )
-        )
+        if self.running and self.frame is not None:
+            self._take(measuring.of_field(sample, direction_b, self.frame))
+        else:
+            self._aligner.see_field(direction_b, measuring.field_time(sample))
 
     def feed_baro(self, sample: BaroSample) -> None:
         """Take a barometric altitude."""
-        level = self._barometer.altitude(sample)
-        if level is None or not self.running or self.frame is None:
-            return
-        settings = self.settings.baro
-        t_us = sample.t_us - round(settings.delay * 1e6)
-        self._take(
-            baro.measure(
-                sample.t_us, t_us, level[0], self.frame, level[1], settings.gate, sample.source
-            )
-        )
+        level = self._measuring.barometer.altitude(sample)
+        if level is not None and self.running and self.frame is not None:
+            self._take(self._measuring.of_altitude(sample, level, self.frame))
 
     def flush(self) -> None:
         """Hand over the output rows that are held."""
@@ -342,18 +276,19 @@ class Estimator:
             self.imu_rows += 1
             self._check_sanity()
 
-    def _take(self, measurement: Measurement) -> None:
-        """Fuse a measurement where it belongs."""
-        refused = self._line.take(measurement)
-        if refused is not None:
-            self._decide([refused])
+    def _take(self, *measurements: Measurement) -> None:
+        """Fuse measurements where they belong."""
+        refused = self._line.take(measurements)
+        if refused:
+            self._decide(refused)
         self._check_sanity()
 
     # ---- decisions and health ----------------------------------------------------------------------------------
 
     def _tick(self, now_us: int) -> None:
         """What is looked at a few times a second."""
-        self._aligner.tick(self._line.buffer, now_us)
+        asked = not self.running or self._yaw_watch.doubts
+        self._aligner.tick(self._line.buffer, now_us, asked)
         if not self.running:
             self._try_to_align(now_us)
         else:
@@ -365,15 +300,26 @@ class Estimator:
         self._decide(self._line.prune(now_us, window_us))
 
     def _zero_velocity(self, now_us: int) -> None:
-        settings, standing = self.settings.zero_velocity, self._aligner.standing
-        if not settings.enabled or not standing.standing or self.frame is None:
+        settings, frame = self.settings.zero_velocity, self.frame
+        if not settings.enabled or frame is None:
             return
+        measurements = []
+        for t_us, gyro_b in self._stills(now_us):
+            gate, noise = settings.gate, settings.rate_sigma
+            measurements.append(zero_velocity.measure(now_us, t_us, settings.sigma, gate))
+            if settings.rate:
+                measurements.append(zero_rate.measure(now_us, t_us, gyro_b, frame, noise, gate))
+        if measurements:
+            self._take(*measurements)
+
+    def _stills(self, now_us: int) -> list[Still]:
+        """The instants since the last tick at which the vehicle stood."""
+        standing = self._aligner.standing
+        if self._still is not None:
+            assert self.frame is not None
+            return self._still.tick(self._line.buffer, now_us, self.frame, standing)
         # valid a window ago: the samples since then have confirmed that nothing moved
-        t_us, gate = now_us - HALF_WINDOW_US, settings.gate
-        self._take(zero_velocity.measure(now_us, t_us, settings.sigma, gate))
-        self._take(
-            zero_rate.measure(now_us, t_us, standing.gyro_b, self.frame, settings.rate_sigma, gate)
-        )
+        return [Still(now_us - HALF_WINDOW_US, standing.gyro_b)] if standing.standing else []
 
     def _habits(self, now_us: int) -> None:
         """What is known of the motion without a sensor for it, where it is switched on."""
@@ -387,29 +333,17 @@ class Estimator:
                 self._take(measurement)
 
     def _judge_health(self, now_us: int) -> None:
+        # looked at here, not after every call: it must not depend on how many rows a call brought
         state = self._line.state
         if state is None:
             return
         track = self._line.fusion.track
-        gnss_us = max(track.accepted_us[0], track.accepted_us[1])
-        silent = (now_us - gnss_us) * 1e-6
-        lately = [t for t in track.reset_times_us if now_us - t < DIVERGE_WITHIN_US]
-        # looked at here, not after every call: it must not depend on how many rows a call brought
-        if complaint := self.filter.complaint(state):
-            self._lost(complaint, Health.DIVERGED)
-        elif len(lately) >= RESETS_TO_DIVERGE:
-            self._lost(f"{len(lately)} resets within a minute", Health.DIVERGED)
-        elif (
-            math.sqrt(max(state.P[0, 0], state.P[1, 1]))
-            > self.settings.estimator.max_position_sigma
-        ):
-            self._lost("position sigma beyond its limit", Health.DIVERGED)
-        elif silent > self.settings.estimator.dead_reckoning_after:
-            self.health = Health.DEAD_RECKONING
-            self.reason = f"no GNSS accepted for {silent:.0f} s"
+        complaint = self.filter.complaint(state)
+        health, reason = judged(state, track, now_us, self.settings.estimator, complaint)
+        if health == Health.DIVERGED:
+            self._lost(reason, health)
         else:
-            self.health = Health.RUNNING
-            self.reason = _yaw_remark(state, track, now_us)
+            self.health, self.reason = health, reason
 
     def _watch_yaw(self, now_us: int) -> None:
         """Start anew, on the way, where motion shows another yaw than the filter's and GNSS agrees with it."""
@@ -444,7 +378,7 @@ class Estimator:
         self.realignments += had_estimate
         self.loss = reason if had_estimate else self.loss
         self.finish()
-        self._aligner = Aligner(self.settings, self._compass)
+        self._aligner = Aligner(self.settings, self._measuring.compass)
         self._yaw_watch.calm()
         self._line = self._new_line()
         self.health = health
@@ -479,8 +413,10 @@ class Estimator:
         fix = candidate.fix
         if self.frame is None:
             self.frame = TangentFrame.at(self._wanted_origin or Origin(fix.lat, fix.lon, fix.alt))
-        x, P = self._aligner.start(candidate, self.frame, self.filter.layout, self.heading_sigma)
-        self._first_delay = fix.delay
+        x, P = self._aligner.start(
+            candidate, self.frame, self.filter.layout, self._measuring.heading_sigma
+        )
+        self._measuring.start(fix)
         reading = self._line.buffer.reading_at(candidate.t_us)
         state = FilterState(x, P, reading, candidate.t_us)
         self.filter.adopt(state)
@@ -495,26 +431,3 @@ class Estimator:
             track._replace(accepted_us=(candidate.t_us,) * 3),
         )
         self._check_sanity()
-
-
-def _yaw_remark(state: FilterState, track: Track, now_us: int) -> str:
-    """A word where the heading is on its own: no heading for some seconds, and its sigma has grown."""
-    sigma = math.sqrt(float(state.P[8, 8]))
-    silent_us = now_us - track.accepted_us[heading.RANK]
-    if silent_us <= YAW_SILENT_US or sigma <= YAW_SIGMA:
-        return ""
-    return f"yaw not observable (sigma {math.degrees(sigma):.0f} deg): no heading, no acceleration"
-
-
-def _carry_over(state: FilterState, old: TangentFrame, new: TangentFrame) -> None:
-    """Express a state of one tangent frame in another."""
-    C = new.C_ne @ old.C_ne.T
-    lla = old.to_lla(state.x[:3])
-    state.x[:3] = new.from_lla(*lla)
-    state.x[3:6] = C @ state.x[3:6]
-    q = dcm_to_quat(C @ quat_to_dcm(state.x[6:10]))
-    state.x[6:10] = q
-    T = np.eye(state.P.shape[0])
-    T[0:3, 0:3] = C
-    T[3:6, 3:6] = C
-    state.P[:, :] = T @ state.P @ T.T

@@ -21,6 +21,9 @@ RESETTABLE: Final = {gnss_position.NAME: (0, 0), gnss_velocity.NAME: (1, 3)}
 """aiding -> (place in Track, first state) of what can be reset to GNSS."""
 
 
+_NOTHING: Final = np.empty(0)
+
+
 class Track(NamedTuple):
     """What the fusion remembers, times in us (-1: never).
 
@@ -43,8 +46,8 @@ class Event:
     order: tuple[int, int, str, int]
     reason: str = ""
     nis: float = math.nan
-    innovation: FloatArray = field(default_factory=lambda: np.empty(0))
-    sigma: FloatArray = field(default_factory=lambda: np.empty(0))
+    innovation: FloatArray = field(default_factory=lambda: _NOTHING)
+    sigma: FloatArray = field(default_factory=lambda: _NOTHING)
 
     @property
     def accepted(self) -> bool:
@@ -88,11 +91,16 @@ class Fusion:
         # a magnetometer is as good as a heading
         place = heading.RANK if m.rank == magnetometer.RANK else m.rank
         if place < len(track.accepted_us):
-            accepted = _put(track.accepted_us, place, m.t_us)
             since = track.rejected_since_us
             if place < len(since) and since[place] >= 0:
                 since = _put(since, place, -1)
-            self.track = track._replace(accepted_us=accepted, rejected_since_us=since)
+            self.track = Track(
+                _put(track.accepted_us, place, m.t_us),
+                since,
+                track.rejected_us,
+                track.resets,
+                track.reset_times_us,
+            )
 
     def _reject(self, state: FilterState, m: Measurement, event: Event) -> None:
         if m.aiding not in RESETTABLE:

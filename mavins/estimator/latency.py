@@ -17,6 +17,7 @@ from mavins.estimator.standing import mean_rows
 from mavins.filters.base import FilterState
 from mavins.nav.earth import TangentFrame, gravity_n
 from mavins.nav.kernels import kernel
+from mavins.nav.s2 import tilted
 from mavins.nav.so3 import quat_to_dcm
 from mavins.types import FloatArray
 
@@ -30,11 +31,11 @@ def delay_parameters(
     """(8,): the delay in s that is believed, the mean IMU reading around t_us (6), the weight of the acceleration."""
     end = buffer.row_after(t_us + AROUND_US)
     first = max(buffer.first, min(buffer.row_after(t_us - AROUND_US), end - 1))
-    mean = mean_rows(buffer.readings(first, end))
-    g_n = gravity_n(state.x[:3], frame.r0_e, frame.C_ne)
-    return np.concatenate(
-        [state.x[19:20], mean, [signal_share(state.x, state.P, mean[3:] - state.x[13:16], g_n)]]
+    parameters = np.empty(8)
+    write_parameters(
+        parameters, state.x, state.P, buffer.readings(first, end), frame.r0_e, frame.C_ne
     )
+    return parameters
 
 
 @kernel
@@ -52,3 +53,22 @@ def signal_share(x: FloatArray, P: FloatArray, f_b: FloatArray, g_n: FloatArray)
     square = a[0] * a[0] + a[1] * a[1] + a[2] * a[2]
     share: float = square / (square + max(variance, 0.0))
     return share
+
+
+@kernel
+def write_parameters(
+    parameters: FloatArray,
+    x: FloatArray,
+    P: FloatArray,
+    rows: FloatArray,
+    r0_e: FloatArray,
+    C_ne: FloatArray,
+) -> None:
+    """All of `delay_parameters` from the IMU rows (N, 6) around the fix."""
+    mean = mean_rows(rows)
+    parameters[0] = x[19]
+    for i in range(6):
+        parameters[1 + i] = mean[i]
+    normal = gravity_n(x[:3], r0_e, C_ne)
+    g_n = np.array(tilted((x[24], x[25]), (normal[0], normal[1], normal[2])))
+    parameters[7] = signal_share(x, P, mean[3:] - x[13:16], g_n)

@@ -46,7 +46,8 @@ def _with(wanted: Any, path: list[str], source: Any) -> Any:
 def imu_noise(settings: Settings) -> ImuNoise:
     """The noises that a filter takes the IMU to have."""
     imu = settings.imu
-    return ImuNoise(imu.gyro_noise, imu.accel_noise, imu.gyro_bias_walk, imu.accel_bias_walk)
+    walks = settings.states.walks()
+    return ImuNoise(imu.gyro_noise, imu.accel_noise, imu.gyro_bias_walk, imu.accel_bias_walk, walks)
 
 
 def needs_filter(old: Settings, new: Settings) -> bool:

@@ -156,9 +156,30 @@ class HeadingSettings:
 
 @dataclass(frozen=True, slots=True)
 class ZeroVelocitySettings:
-    """Zero velocity and zero rate while the vehicle stands before its first motion."""
+    """Zero velocity and zero rate while the vehicle stands: before its first motion, or wherever a detector says so."""
 
     enabled: Annotated[bool, Doc("Use it.")] = True
+    detector: Annotated[
+        Literal["start", "shoe", "ared", "amvd", "mag", "gnss_speed"],
+        Doc(
+            "start: only before the first motion, for what flies; the others find standing at any time, for a foot, "
+            "a wheel or a tool: never for what can hover."
+        ),
+    ] = "start"
+    rate: Annotated[bool, Doc("Use the zero rate too; a standing foot still rolls.")] = True
+    window: Annotated[
+        float, Ge(0.01), Le(1), Doc("Length of a detector's window (not of start's).", "s")
+    ] = 0.1
+    threshold: Annotated[
+        Literal["auto"] | Annotated[float, Gt(0)],
+        Doc("A detector's statistic is smaller than this while standing; auto: follows the gait."),
+    ] = "auto"
+    sigma_accel: Annotated[
+        float, Gt(0), Le(100), Doc("A detector's accelerometer noise, of one sample.", "m/s^2")
+    ] = 0.01
+    sigma_gyro: Annotated[
+        float, Gt(0), Le(10), Doc("A detector's gyro noise, of one sample.", "rad/s")
+    ] = 0.00175
     sigma: Annotated[
         float, Gt(0), Le(10), Doc("Noise of the pseudo-measurement, 1-sigma.", "m/s")
     ] = 0.1
@@ -325,11 +346,54 @@ class StatesSettings:
         Doc("The delay of GNSS, from gnss.delay on; it shows when the vehicle accelerates."),
     ] = "estimate"
     gnss_delay_sigma: Annotated[float, Gt(0), Le(1), Doc("The delay at start, 1-sigma.", "s")] = 0.1
+    baro_bias: Annotated[
+        Literal["estimate", "fixed"],
+        Doc("The barometer's level, from its first difference to GNSS on; else tracked beside."),
+    ] = "fixed"
+    baro_bias_sigma: Annotated[
+        float, Gt(0), Le(1000), Doc("The barometer's level at start, 1-sigma.", "m")
+    ] = 5.0
+    baro_bias_walk: Annotated[
+        float, Ge(0), Le(10), Doc("Random walk of the barometer's level.", "m/sqrt(s)")
+    ] = 0.2
+    mag_bias: Annotated[
+        Literal["estimate", "fixed"],
+        Doc("The magnetometer's hard iron beside magnetometer.hard_iron; it shows in turns."),
+    ] = "fixed"
+    mag_bias_sigma: Annotated[
+        float,
+        Gt(0),
+        Le(10),
+        Doc("Hard iron at start, a share of the Earth's field, 1-sigma on each axis."),
+    ] = 0.1
+    mag_bias_walk: Annotated[
+        float, Ge(0), Le(1), Doc("Random walk of hard iron, such a share each.", "1/sqrt(s)")
+    ] = 1e-4
+    gravity: Annotated[
+        Literal["estimate", "fixed"],
+        Doc(
+            "How gravity's direction differs from normal gravity's, from nothing on; it shows in turns "
+            "and with a good heading (eskf, iekf, ieskf)."
+        ),
+    ] = "fixed"
+    gravity_sigma_deg: Annotated[
+        float, Gt(0), Le(10), Doc("That difference at start, 1-sigma about north and east.", "deg")
+    ] = 1.0
 
     def layout(self) -> Layout:
         """The error states that this makes."""
-        extra = {"l_b": self.lever_arm, "tau": self.gnss_delay}
+        extra = {
+            "l_b": self.lever_arm,
+            "tau": self.gnss_delay,
+            "b_baro": self.baro_bias,
+            "b_m": self.mag_bias,
+            "g_n": self.gravity,
+        }
         return Layout.of((*CORE, *(block for block, how in extra.items() if how == "estimate")))
+
+    def walks(self) -> dict[str, float]:
+        """Root PSDs of the random walks of these states, by block; the others are constant."""
+        return {"b_baro": self.baro_bias_walk, "b_m": self.mag_bias_walk}
 
 
 @dataclass(frozen=True, slots=True)

@@ -42,7 +42,7 @@ def smooth(history: History) -> Iterator[tuple[RowBlock, TangentFrame]]:
 class _Nodes:
     """The nodes of a segment as `rts.smooth_back` takes them, and the last IMU reading at each."""
 
-    def __init__(self, capacity: int, size: int) -> None:
+    def __init__(self, capacity: int, size: int, moved_by: int) -> None:
         self.count = 0
         self.t_us = np.empty(capacity, dtype=np.int64)
         self.kind = np.full(capacity, MOVED, dtype=np.int64)
@@ -50,7 +50,7 @@ class _Nodes:
         self.x = np.empty((capacity, X_SIZE))
         self.u = np.empty((capacity, 6))
         self.P = np.empty((capacity, size, size))
-        self.Phi = np.empty((capacity, MOVING, CORE_SIZE))
+        self.Phi = np.empty((capacity, MOVING, moved_by))
 
     def put(self, state: FilterState, kind: int) -> None:
         """Add the state as it is."""
@@ -81,8 +81,9 @@ class _Stretch:
         written = np.concatenate([np.empty(0, dtype=np.int64), *stretch.written])
         self._due = np.isin(self._t_us, written).astype(np.int64)
         self._events = sorted(stretch.events, key=lambda event: event.order)
-        self._rows = RowBlock.empty(ROWS_AT_ONCE, self._filter.layout.size)
-        self._M = np.eye(CORE_SIZE)
+        layout = self._filter.layout
+        self._rows = RowBlock.empty(ROWS_AT_ONCE, layout.size)
+        self._M = np.eye(layout.size if layout.has_gravity else CORE_SIZE)
 
     def blocks(self) -> Iterator[RowBlock]:
         """Smoothed output rows, a segment a block, the last one first."""
@@ -113,7 +114,7 @@ class _Stretch:
         events = [e for e in self._events if start.t_us < e.order[0] <= end_us]
         first, last = np.searchsorted(self._t_us, (start.t_us, end_us), "right").tolist()
         capacity = 2 + 2 * len(events) + int(self._due[first:last].sum())
-        nodes = _Nodes(capacity, self._filter.layout.size)
+        nodes = _Nodes(capacity, self._filter.layout.size, len(self._M))
         state = start.state.copy()
         self._fusion.track = start.track
         nodes.put(state, MOVED)

@@ -13,7 +13,19 @@ import numpy as np
 from mavins.filters.base import FilterState
 from mavins.nav.earth import TangentFrame, dcm_ln, ecef_of, ecef_to_lla
 from mavins.nav.kernels import kernel
-from mavins.nav.layout import L_B, TAU, X_L, X_TAU, Layout
+from mavins.nav.layout import (
+    B_BARO,
+    B_M,
+    G_N,
+    L_B,
+    TAU,
+    X_BARO,
+    X_BM,
+    X_G,
+    X_L,
+    X_TAU,
+    Layout,
+)
 from mavins.nav.so3 import dcm_to_quat, euler_jacobian, quat_mul, quat_to_euler
 from mavins.types import FloatArray, Health, NavSolution
 
@@ -35,7 +47,7 @@ WIDTH: Final = 31
 def describe(
     x: FloatArray, P: FloatArray, r0_e: FloatArray, C_ne: FloatArray, out: FloatArray
 ) -> None:
-    """Write rows (N, 31) for states x (N, 20) with covariances P (N, 15, 15).
+    """Write rows (N, 31) for states x (N, 26) with covariances P (N, 15, 15).
 
     A loop and not array arithmetic: a row must not depend, in its last bit, on how many rows come with it.
     """
@@ -98,6 +110,12 @@ def solution_of(
         sd_l_b=sigmas[L_B],
         tau=float(x[X_TAU]),
         sd_tau=float(sigmas[TAU][0]),
+        b_baro=float(x[X_BARO]),
+        sd_b_baro=float(sigmas[B_BARO][0]),
+        b_m=x[X_BM].copy(),
+        sd_b_m=sigmas[B_M],
+        g_n=x[X_G].copy(),
+        sd_g_n=sigmas[G_N],
         health=health,
         reset_counter=reset_counter,
     )

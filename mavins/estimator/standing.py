@@ -41,7 +41,9 @@ class StandingDetector:
         self.moved = False
         self._reference: FloatArray | None = None
         self._quiet_ticks = 0
-        self._speed = 0.0
+        self.speed = 0.0
+        self.speed_us: int | None = None
+        """The horizontal speed of the last good fix (m/s; 0 before there is one), and when it was valid."""
         self.gyro_b = np.zeros(3)
         """The mean gyro reading of the earlier of both windows at the last look."""
 
@@ -53,11 +55,11 @@ class StandingDetector:
     @property
     def standing(self) -> bool:
         """True while the vehicle stands and has not moved since it was first found standing."""
-        return self.quiet and not self.moved and self._speed < self.settings.speed_limit
+        return self.quiet and not self.moved and self.speed < self.settings.speed_limit
 
-    def see_speed(self, speed: float) -> None:
-        """The horizontal speed (m/s) of a fix that nothing speaks against."""
-        self._speed = speed
+    def see_speed(self, speed: float, t_us: int) -> None:
+        """The horizontal speed (m/s) at t_us of a fix that nothing speaks against."""
+        self.speed, self.speed_us = speed, t_us
         if self.quiet and speed >= self.settings.speed_limit:
             self.moved = True
 

@@ -51,7 +51,8 @@ class AidingStatistics:
             if events:
                 innovation = np.array([event.innovation for event in events])
                 sigma = np.array([event.sigma for event in events])
-                noise = np.array([np.diag(event.measurement.R) for event in events])
+                R = np.array([event.measurement.R for event in events])
+                noise = np.diagonal(R, axis1=1, axis2=2)
                 self._squares[0, :m] += (innovation**2).sum(axis=0)
                 self._squares[1, :m] += (sigma**2).sum(axis=0)
                 self._squares[2, :m] += noise.sum(axis=0)

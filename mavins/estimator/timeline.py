@@ -8,7 +8,7 @@ happen to lie makes no difference to the result: a run is the same from any of t
 from __future__ import annotations
 
 from bisect import bisect_right, insort
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 
@@ -18,6 +18,8 @@ from mavins.estimator.fusion import Event, Fusion, Track
 from mavins.estimator.history import History, Snapshot
 from mavins.filters import Filter, FilterState, RowBlock
 from mavins.nav.earth import TangentFrame
+from mavins.nav.layout import X_G, Layout
+from mavins.nav.so3 import dcm_to_quat, quat_to_dcm
 from mavins.types import FloatArray, IntArray
 
 SNAPSHOT_US = 40_000
@@ -67,8 +69,10 @@ class Timeline:
         self._sequence = 0
 
     def begin(self, state: FilterState, frame: TangentFrame, track: Track) -> None:
-        """Start from a state between the buffered IMU rows and walk to the newest; no row of this is written."""
-        self._filter.adopt(state)
+        """Start from a state between the buffered IMU rows, adopted by the filter, and walk to the newest.
+
+        No row of this is written.
+        """
         self.state, self.frame = state, frame
         self.fusion.track = track
         self._snapshots = [Snapshot(state.t_us, state.copy(), track)]
@@ -76,11 +80,13 @@ class Timeline:
         self._run(self.buffer.row_after(state.t_us), -1)
 
     def change_frame(self, frame: TangentFrame) -> list[Event]:
-        """Go on in another frame with the state, which the caller has carried over; ends all decisions."""
+        """Go on in another frame; ends all decisions."""
         # what was estimated so far is written in the frame it was estimated in
         self.flush()
         decided = self.end()
-        self.frame = frame
+        old, self.frame = self.frame, frame
+        if self.state is not None and old is not None and old is not frame:
+            _carry_over(self.state, self._filter.layout, old, frame)
         self._start_here()
         return decided
 
@@ -121,30 +127,46 @@ class Timeline:
         if self.state is not None:
             self._tell_rows(buffer.times(row, row + 1), buffer.readings(row, row + 1))
             # from the row before: between it and this one, readings lay on another line
-            before = int(buffer.times(row - 1, row)[0]) if row > buffer.first else t_us
+            before = buffer.stamp(row - 1) if row > buffer.first else t_us
             self._rewind(before + 1)
         return ""
 
-    def take(self, measurement: Measurement) -> Event | None:
-        """Fuse a measurement where it belongs; returns it, decided, if there is no such place."""
+    def take(self, measurements: Iterable[Measurement]) -> list[Event]:
+        """Fuse measurements where they belong; returns those, decided, for which there is no such place."""
+        refused: list[Event] = []
         if self.state is None:
-            return None
-        self._sequence += 1
-        order = (measurement.t_us, measurement.rank, measurement.source, self._sequence)
-        event = Event(measurement, order)
-        newest = self.buffer.newest_us
-        if measurement.t_us <= max(self._snapshots[0].t_us, newest - self._buffer_us):
-            event.reason = "too old"
-            return event
-        if measurement.t_us > newest + self._buffer_us:
-            event.reason = "too far ahead"
-            return event
-        insort(self._events, event, key=_event_order)
-        if measurement.t_us == newest and self._events[-1] is event:
-            self._fuse_now(self.state, event)
-        elif measurement.t_us <= newest:
-            self._rewind(measurement.t_us)
-        return None
+            return refused
+        newest, earliest = self.buffer.newest_us, None
+        oldest = max(self._snapshots[0].t_us, newest - self._buffer_us)
+        for m in measurements:
+            self._sequence += 1
+            event = Event(m, (m.t_us, m.rank, m.source, self._sequence))
+            if m.t_us <= oldest:
+                event.reason = "too old"
+                refused.append(event)
+            elif m.t_us > newest + self._buffer_us:
+                event.reason = "too far ahead"
+                refused.append(event)
+            elif m.t_us == newest and earliest is None and not self._comes_before(event):
+                self._events.append(event)
+                self._fuse_now(self.state, event)
+            else:
+                self._insert(event)
+                if m.t_us <= newest:
+                    earliest = m.t_us if earliest is None else min(earliest, m.t_us)
+        if earliest is not None:
+            self._rewind(earliest)
+        return refused
+
+    def _comes_before(self, event: Event) -> bool:
+        """True where an event that is there already has its place behind this one."""
+        return bool(self._events) and self._events[-1].order > event.order
+
+    def _insert(self, event: Event) -> None:
+        if self._comes_before(event):
+            insort(self._events, event, key=_event_order)
+        else:
+            self._events.append(event)
 
     def prune(self, now_us: int, window_us: int) -> list[Event]:
         """Forget what no rewind can reach, but keep IMU rows over a window; returns the decisions now final."""
@@ -221,7 +243,10 @@ class Timeline:
         assert state is not None
         assert frame is not None
         newest, end = buffer.newest_us, buffer.end
-        i = bisect_right(self._events, state.t_us, key=_event_time)
+        # what is not fused yet lies at the end
+        i = len(self._events)
+        while i > 0 and self._events[i - 1].order[0] > state.t_us:
+            i -= 1
         while True:
             event = self._events[i] if i < len(self._events) else None
             if event is not None and event.order[0] > newest:
@@ -230,7 +255,7 @@ class Timeline:
             last = end if event is None else buffer.row_after(until)
             while last - first > LONGEST_RUN:
                 first += LONGEST_RUN
-                stamp = int(buffer.times(first - 1, first)[0])
+                stamp = buffer.stamp(first - 1)
                 self._walk(state, frame, first - LONGEST_RUN, first, stamp, grid_us)
                 self._snapshot(state)
             if until > state.t_us:
@@ -254,7 +279,7 @@ class Timeline:
         grid_us: int,
     ) -> None:
         buffer, rows = self.buffer, self._rows
-        previous = state.t_us if first == buffer.first else int(buffer.times(first - 1, first)[0])
+        previous = state.t_us if first == buffer.first else buffer.stamp(first - 1)
         self._filter.walk(
             state,
             frame,
@@ -271,3 +296,19 @@ class Timeline:
     def _snapshot(self, state: FilterState) -> None:
         if not self._snapshots or state.t_us - self._snapshots[-1].t_us >= SNAPSHOT_US:
             self._snapshots.append(Snapshot(state.t_us, state.copy(), self.fusion.track))
+
+
+def _carry_over(state: FilterState, layout: Layout, old: TangentFrame, new: TangentFrame) -> None:
+    """Express a state of one tangent frame in another; of gravity's small turn, its part about level axes is kept."""
+    C = new.C_ne @ old.C_ne.T
+    lla = old.to_lla(state.x[:3])
+    state.x[:3] = new.from_lla(*lla)
+    state.x[3:6] = C @ state.x[3:6]
+    state.x[6:10] = dcm_to_quat(C @ quat_to_dcm(state.x[6:10]))
+    T = np.eye(state.P.shape[0])
+    T[0:3, 0:3] = C
+    T[3:6, 3:6] = C
+    if layout.has_gravity:
+        state.x[X_G] = C[:2, :2] @ state.x[X_G]
+        T[-2:, -2:] = C[:2, :2]
+    state.P[:, :] = T @ state.P @ T.T

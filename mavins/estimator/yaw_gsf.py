@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 
 from mavins.nav.kernels import kernel
-from mavins.nav.so3 import exponential, product, wrap_pi, write_dcm
+from mavins.nav.so3 import cross, exponential, product, wrap_pi, write_dcm
 from mavins.types import FloatArray, IntArray
 
 HYPOTHESES: Final = 8
@@ -28,6 +28,9 @@ TILT_SIGMA: Final = 0.1
 """What is not known of the first levelling (rad): an acceleration of 1 m/s^2."""
 OUTLIER: Final = 30.0
 """The NIS of two rows above which no filter believes a velocity."""
+SMOOTHING: Final = 0.1
+HOPELESS: Final = 12.0
+"""The mean NIS of two rows, of so large a share of the newest, above which all begins anew."""
 LEAST: Final = -40.0
 """Logarithm of the smallest weight: a filter that was wrong once may come back."""
 
@@ -209,6 +212,62 @@ def fuse(
         x[i, 3] -= tilt_x
         x[i, 4] -= tilt_y
     _put(q_hb, product(exponential(tilt_x, tilt_y, 0.0), (q_hb[0], q_hb[1], q_hb[2], q_hb[3])))
+    return nis
+
+
+@kernel
+def follow(
+    x: FloatArray,
+    P: FloatArray,
+    log_w: FloatArray,
+    q_hb: FloatArray,
+    force_h: FloatArray,
+    u: FloatArray,
+    b_g: FloatArray,
+    lever_b: FloatArray,
+    variances: FloatArray,
+    clock: IntArray,
+    nis: float,
+    t_us: IntArray,
+    imu: FloatArray,
+    fix_us: IntArray,
+    fixes: FloatArray,
+) -> float:
+    """Go on to each of the velocities `fixes` (K, 3) in turn and fuse it; returns the running mean `nis`.
+
+    A velocity is v_n, v_e, sigma, valid at `fix_us` (K,). `clock` (2,) is where the attitude and the filters are (us);
+    what is older is left out, and the IMU rows are those after clock[0]. `variances` (2,) is what a second adds to a
+    velocity and to an angle. Where the NIS is hopeless, all begins anew.
+    """
+    C_hb = np.empty((3, 3))
+    lever_h = np.empty(2)
+    Q = np.empty(3)
+    first = 0
+    for k in range(len(fix_us)):
+        if fix_us[k] <= clock[0]:
+            continue
+        end = first
+        while end < len(t_us) and t_us[end] < fix_us[k]:
+            end += 1
+        rows = slice(first, end + 1)
+        advance(q_hb, force_h, u, b_g, clock[0], t_us[rows], imu[rows], fix_us[k])
+        clock[0] = fix_us[k]
+        first = end + 1 if end < len(t_us) and t_us[end] == fix_us[k] else end
+        dt = (clock[0] - clock[1]) * 1e-6
+        Q[0], Q[1], Q[2] = variances[0] * dt, variances[1] * dt, variances[1] * dt
+        write_dcm(C_hb, (q_hb[0], q_hb[1], q_hb[2], q_hb[3]))
+        swing = cross(u[:3] - b_g, lever_b)
+        for i in range(2):
+            lever_h[i] = C_hb[i, 0] * swing[0] + C_hb[i, 1] * swing[1] + C_hb[i, 2] * swing[2]
+        sigma = fixes[k, 2]
+        one = fuse(x, P, log_w, q_hb, force_h, Q, fixes[k, :2], sigma * sigma, lever_h)
+        nis += SMOOTHING * (one - nis)
+        if nis > HOPELESS:
+            spread(x, P, log_w, fixes[k, :2], sigma)
+            nis = 0.0
+        for i in range(3):
+            force_h[i] = 0.0
+        clock[1] = clock[0]
     return nis
 
 

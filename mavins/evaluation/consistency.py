@@ -22,7 +22,7 @@ NAVIGATION: IntArray = np.arange(9)
 
 
 def errors(x_true: FloatArray, x: FloatArray) -> FloatArray:
-    """E (N, 15) = x_true [-] x for nominal states (N, 20), over the core errors of `layout`."""
+    """E (N, 15) = x_true [-] x for nominal states (N, 26), over the core errors of `layout`."""
     columns = Layout.of(CORE).columns
     e = np.empty((len(x), len(columns)))
     for k in range(len(x)):

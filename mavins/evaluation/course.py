@@ -34,7 +34,7 @@ CLIMBING: Final = 0.3
 
 @dataclass(frozen=True, slots=True)
 class Course:
-    """States `x` (N, 20) with IMU readings `u` (N, 6) at instants `t_us` (N,), without gaps, and measurements."""
+    """States `x` (N, 26) with IMU readings `u` (N, 6) at instants `t_us` (N,), without gaps, and measurements."""
 
     frame: TangentFrame
     t_us: IntArray

@@ -18,12 +18,13 @@ from mavins.estimator.fusion import Event
 from mavins.estimator.settings import Settings
 from mavins.filters import RowBlock
 from mavins.nav.earth import TangentFrame
+from mavins.nav.layout import X_SIZE
 from mavins.types import FloatArray, GnssFix, HeadingFix, ImuTable, IntArray, Origin
 
 
 @dataclass(frozen=True, slots=True)
 class Estimates:
-    """Estimates at instants `t_us` (N,): states `x` (N, 20) and covariances `P` (N, 15, 15).
+    """Estimates at instants `t_us` (N,): states `x` (N, 26) and covariances `P` (N, 15, 15).
 
     `decisions` counts the measurements by (aiding, reason), the reason empty where one was fused.
     """
@@ -75,7 +76,7 @@ def estimate(
     estimator.finish()
     if not blocks:
         return Estimates(
-            np.empty(0, dtype=np.int64), np.empty((0, 20)), np.empty((0, 15, 15)), decisions
+            np.empty(0, dtype=np.int64), np.empty((0, X_SIZE)), np.empty((0, 15, 15)), decisions
         )
     t_us, x, P = (np.concatenate(part) for part in zip(*blocks, strict=True))
     return Estimates(t_us, x, P, decisions)

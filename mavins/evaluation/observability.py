@@ -5,7 +5,7 @@
 over the measurements of a segment is the information on the errors at its beginning. Scaled by prior sigmas, S O S,
 its singular values count in units of the prior's own information: where one is above 1 the data beat the prior.
 
-Sources: Chen, "Linear System Theory and Design" (1984), chapter 5; Goshen-Meskin and Bar-Itzhack, "Observability
+Sources: Chen, "Linear System Theory and Design" (1999), for the Gramian; Goshen-Meskin and Bar-Itzhack, "Observability
 analysis of piece-wise constant systems" (1992); Ham and Brown (1983) for reading eigenvalues and eigenvectors.
 Theory: docs/theory/observability.md.
 """
@@ -25,9 +25,31 @@ from mavins.estimator.settings import Settings
 from mavins.evaluation.course import Course, label_of
 from mavins.filters.walking import reading_within
 from mavins.nav.earth import gravity_at
-from mavins.nav.ins import BLOCKS, MOVING, apply_transition, increments_from_rates, transition
+from mavins.nav.ins import (
+    BLOCKS,
+    MOVING,
+    add_gravity_transition,
+    apply_transition,
+    increments_from_rates,
+    transition,
+    write_gravity_transition,
+)
 from mavins.nav.kernels import kernel
-from mavins.nav.layout import B_A, B_G, CANONICAL_SIZE, L_B, P_N, TAU, THETA_B, V_N, Layout
+from mavins.nav.layout import (
+    B_A,
+    B_BARO,
+    B_G,
+    B_M,
+    CANONICAL_SIZE,
+    G_N,
+    L_B,
+    P_N,
+    TAU,
+    THETA_B,
+    V_N,
+    Layout,
+)
+from mavins.nav.s2 import tilted
 from mavins.nav.so3 import write_dcm
 from mavins.types import FloatArray, IntArray
 
@@ -37,7 +59,7 @@ VISIBLE: Final = 0.5
 """A state has become visible once its sigma is below this share of the prior's."""
 EPOCH_US: Final = 200_000
 """Posterior sigmas are taken so often."""
-_AXES: Final = {"p_n": "NED", "v_n": "NED", "tau": ("",)}
+_AXES: Final = {"p_n": "NED", "v_n": "NED", "tau": ("",), "b_baro": ("",), "g_n": "NE"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +116,7 @@ def names_of(layout: Layout) -> tuple[str, ...]:
 
 
 def prior_sigmas(settings: Settings) -> FloatArray:
-    """Prior sigmas (19,) of the canonical errors: what the settings assume where nothing has been measured yet."""
+    """Prior sigmas (25,) of the canonical errors: what the settings assume where nothing has been measured yet."""
     gnss, imu, states = settings.gnss, settings.imu, settings.states
     tilt = math.radians(settings.alignment.moving_sigma_deg)
     sigmas = np.empty(CANONICAL_SIZE)
@@ -105,6 +127,9 @@ def prior_sigmas(settings: Settings) -> FloatArray:
     sigmas[B_A] = imu.accel_bias_sigma
     sigmas[L_B] = states.lever_arm_sigma
     sigmas[TAU] = states.gnss_delay_sigma
+    sigmas[B_BARO] = states.baro_bias_sigma
+    sigmas[B_M] = states.mag_bias_sigma
+    sigmas[G_N] = math.radians(states.gravity_sigma_deg)
     return sigmas
 
 
@@ -116,20 +141,22 @@ def carry(
     u: FloatArray,
     first: int,
     last: int,
+    has_gravity: bool,
     r0_e: FloatArray,
     C_ne: FloatArray,
     w_ie_n: FloatArray,
 ) -> None:
-    """Phi (n, n) <- Phi(last, first) Phi, in place, along samples of states x (N, 20) with readings u (N, 6)."""
+    """Phi (n, n) <- Phi(last, first) Phi, in place, along samples of states x (N, 26) with readings u (N, 6)."""
     n = Phi.shape[0]
     C = np.empty((3, 3))
     A = np.empty((BLOCKS, 3, 3))
     moved = np.empty((MOVING, n))
+    K = np.empty((6, 2 if has_gravity else 0))
     for k in range(first, last):
         dt_us = t_us[k + 1] - t_us[k]
         dt = dt_us * 1e-6
         write_dcm(C, (x[k, 6], x[k, 7], x[k, 8], x[k, 9]))
-        g = gravity_at(x[k, 0], x[k, 1], x[k, 2], r0_e, C_ne)
+        g = tilted((x[k, 24], x[k, 25]), gravity_at(x[k, 0], x[k, 1], x[k, 2], r0_e, C_ne))
         w0, f0 = reading_within(x[k], u[k], u[k + 1], 0.0, dt_us)
         w1, f1 = reading_within(x[k], u[k], u[k + 1], 1.0, dt_us)
         phi, dv = increments_from_rates(w0, f0, w1, f1, dt)
@@ -138,6 +165,9 @@ def carry(
         for i in range(MOVING):
             for j in range(n):
                 Phi[i, j] = moved[i, j]
+        if K.shape[1]:
+            write_gravity_transition(K, x[k], g, dt)
+            add_gravity_transition(Phi, K)
 
 
 def information(H: FloatArray, R: FloatArray, Phi: FloatArray) -> FloatArray:
@@ -165,7 +195,7 @@ def analyse(
     window: float,
     progress: Callable[[float], None] = lambda _: None,
 ) -> Analysis:
-    """The observability of the layout's errors along a course, in segments of `window` s; prior (19,)."""
+    """The observability of the layout's errors along a course, in segments of `window` s; prior (25,)."""
     sigmas = prior[layout.columns]
     n = layout.size
     known, start = np.zeros((n, n)), np.eye(n)
@@ -185,10 +215,10 @@ def analyse(
                 if not epochs or course.t_us[now] - epochs[-1] >= EPOCH_US:
                     epochs.append(int(course.t_us[now]))
                     ratios.append(posterior(known + start.T @ local @ start, sigmas))
-                _carry(Phi, course, now, k)
+                _carry(Phi, course, now, k, layout)
                 now = k
             local += _term(m, course, k, Phi, layout)
-        _carry(Phi, course, now, last)
+        _carry(Phi, course, now, last, layout)
         known += start.T @ local @ start
         start = Phi @ start
         after = posterior(known, sigmas)
@@ -207,9 +237,10 @@ def analyse(
     return Analysis(names_of(layout), sigmas, tuple(segments), times, table, visible)
 
 
-def _carry(Phi: FloatArray, course: Course, first: int, last: int) -> None:
+def _carry(Phi: FloatArray, course: Course, first: int, last: int, layout: Layout) -> None:
     frame = course.frame
-    carry(Phi, course.t_us, course.x, course.u, first, last, frame.r0_e, frame.C_ne, frame.w_ie_n)
+    earth = (frame.r0_e, frame.C_ne, frame.w_ie_n)
+    carry(Phi, course.t_us, course.x, course.u, first, last, layout.has_gravity, *earth)
 
 
 def _term(m: Measurement, course: Course, k: int, Phi: FloatArray, layout: Layout) -> FloatArray:

@@ -119,7 +119,7 @@ def run_through(
     A fix is fused at the sample nearest to its stamp minus the delay that is believed then; the rest, less than half a
     sample, is in its model. With each goes a zero velocity where the vehicle stands (never, where still_sigma is 0).
     """
-    work = workspace(P.shape[0])
+    work = workspace(P.shape[0], False)
     h = step_us * 1e-6
     u = np.empty(6)
     before = increments[0]

@@ -291,7 +291,7 @@ def start(
 
 
 def true_states(flight: Flight, frame: TangentFrame, at: IntArray) -> FloatArray:
-    """The nominal states (K, 20) that rows `at` (K,) of the truth are, with zero biases."""
+    """The nominal states (K, 26) that rows `at` (K,) of the truth are, with zero biases."""
     x = np.zeros((len(at), X_SIZE))
     for state, k in zip(x, at.tolist(), strict=True):
         lat, lon, alt = flight.lla[k].tolist()

@@ -29,7 +29,7 @@ from mavins.filters import (
 )
 from mavins.filters.settings import EulerEkfSettings
 from mavins.nav.earth import TangentFrame
-from mavins.nav.layout import CANONICAL_SIZE
+from mavins.nav.layout import CANONICAL_SIZE, X_SIZE
 from mavins.nav.so3 import euler_jacobian, euler_to_quat, quat_to_euler, wrap_pi
 from mavins.types import FloatArray, IntArray, Origin
 
@@ -199,13 +199,13 @@ def run_filter(
     It starts level at `start_us`, where the first fix and the first heading say.
     """
     frame = still_frame()
-    x = np.zeros(20)
+    x = np.zeros(X_SIZE)
     x[0:3], x[3:6] = record.p_n[0], record.v_n[0]
     x[6:10] = euler_to_quat(0.0, 0.0, record.yaw[0])
     state = FilterState(x, np.diag(START**2), record.u[0].copy(), start_us)
     algorithm.adopt(state)
     rows = RowBlock.empty(1)
-    kept = np.empty((len(record.t_us), 20))
+    kept = np.empty((len(record.t_us), X_SIZE))
     for k, t_us in enumerate(record.t_us.tolist()):
         if t_us > state.t_us:
             part = slice(k, k + 1)

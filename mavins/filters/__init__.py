@@ -18,6 +18,9 @@ REGISTRY: Final = {
     "euler_ekf": "mavins.filters.euler_ekf:EulerEkf",
 }
 
+WITHOUT_GRAVITY: Final = ("euler_ekf", "srcdkf")
+"""Filters whose prediction has no error of gravity's direction."""
+
 
 def make(
     name: str,
@@ -28,9 +31,15 @@ def make(
     """The filter registered under `name`, by default with the 15 core states."""
     if name not in REGISTRY:
         raise ConfigError(f"unknown filter {name!r}; there are: {', '.join(sorted(REGISTRY))}")
+    layout = layout or Layout.of()
+    if layout.has_gravity and name in WITHOUT_GRAVITY:
+        able = ", ".join(sorted(REGISTRY.keys() - WITHOUT_GRAVITY))
+        raise ConfigError(
+            f"states.gravity: the filter {name} cannot estimate gravity (block g_n); these can: {able}"
+        )
     module, _, attribute = REGISTRY[name].partition(":")
     factory: Any = getattr(import_module(module), attribute)
-    made: Filter = factory(noise, layout or Layout.of(), settings or FilterSettings())
+    made: Filter = factory(noise, layout, settings or FilterSettings())
     return made
 
 

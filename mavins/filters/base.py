@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
 from mavins.nav.earth import TangentFrame
-from mavins.nav.layout import Layout
+from mavins.nav.layout import CORE, X_SIZE, Layout, size_of
 from mavins.types import FloatArray, IntArray
+
+_NOTHING: Final = np.empty((0, 0))
 
 
 @dataclass(slots=True)
 class FilterState:
-    """A filter's whole memory: nominal `x` (20,), covariance `P` (n, n), last IMU reading `u` (6,), time `t_us`.
+    """A filter's whole memory: nominal `x` (26,), covariance `P` (n, n), last IMU reading `u` (6,), time `t_us`.
 
     `u` is [gyro_b (3), accel_b (3)] as read, not bias-corrected, valid at t_us. Filters change the arrays in place.
     P is over the canonical errors of the filter's layout between any two calls, whatever errors the filter itself
@@ -25,18 +28,19 @@ class FilterState:
     P: FloatArray
     u: FloatArray
     t_us: int
-    own: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
+    own: FloatArray = field(default_factory=lambda: _NOTHING)
 
     def copy(self) -> FilterState:
         """A copy that shares nothing with this one."""
-        return FilterState(self.x.copy(), self.P.copy(), self.u.copy(), self.t_us, self.own.copy())
+        own = self.own.copy() if self.own.size else self.own
+        return FilterState(self.x.copy(), self.P.copy(), self.u.copy(), self.t_us, own)
 
 
 @dataclass(slots=True)
 class RowBlock:
     """Estimates at consecutive instants, of which the first `count` are filled.
 
-    t_us (N,), x (N, 20), u (N, 6), P (N, n, n) over the canonical errors of a layout.
+    t_us (N,), x (N, 26), u (N, 6), P (N, n, n) over the canonical errors of a layout.
     """
 
     t_us: IntArray
@@ -50,7 +54,7 @@ class RowBlock:
         """A block with room for `capacity` rows of a filter with `size` error states."""
         return cls(
             np.empty(capacity, dtype=np.int64),
-            np.empty((capacity, 20)),
+            np.empty((capacity, X_SIZE)),
             np.empty((capacity, 6)),
             np.empty((capacity, size, size)),
         )
@@ -58,16 +62,23 @@ class RowBlock:
 
 @dataclass(frozen=True, slots=True)
 class ImuNoise:
-    """Root PSDs of the IMU's errors: gyro rad/s/sqrt(Hz), accel m/s^2/sqrt(Hz), and the walks of their biases."""
+    """Root PSDs of the IMU's errors: gyro rad/s/sqrt(Hz), accel m/s^2/sqrt(Hz), and the walks of their biases.
+
+    `walks` are those of further states, by block, in their unit per sqrt(s); a block that is not there is constant.
+    """
 
     gyro: float
     accel: float
     gyro_bias_walk: float
     accel_bias_walk: float
+    walks: Mapping[str, float] = field(default_factory=dict)
 
-    def as_array(self) -> FloatArray:
-        """The (4,) array that the kernels take."""
-        return np.array([self.gyro, self.accel, self.gyro_bias_walk, self.accel_bias_walk])
+    def as_array(self, layout: Layout) -> FloatArray:
+        """The array (4 + k,) that the kernels take: the IMU's, then one for each of the layout's k further states."""
+        imu = (self.gyro, self.accel, self.gyro_bias_walk, self.accel_bias_walk)
+        further = layout.blocks[len(CORE) :]
+        walks = [np.full(size_of(block), self.walks.get(block, 0.0)) for block in further]
+        return np.concatenate([imu, *walks])
 
 
 class Observation(Protocol):
@@ -78,10 +89,10 @@ class Observation(Protocol):
         """The noise covariance (m, m)."""
 
     def linearize(self, x: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(r (m,), H (m, 19)): the residual z - h(x), and the Jacobian of h over the canonical errors."""
+        """(r (m,), H (m, 25)): the residual z - h(x), and the Jacobian of h over the canonical errors."""
 
     def residuals(self, X: FloatArray, u: FloatArray) -> FloatArray:
-        """The residuals (k, m) of nominal states X (k, 20)."""
+        """The residuals (k, m) of nominal states X (k, 26)."""
 
     def differences(self, X: FloatArray, u: FloatArray, r: FloatArray) -> FloatArray:
         """The residuals (k, m) of X less the residual r (m,): the short way round where residuals are wrapped."""

@@ -1,6 +1,7 @@
 """The error-state Kalman filter: strapdown mechanization, a covariance over its errors, feedback at each update.
 
-15 states: p_n, v_n, theta_b, b_g, b_a. Sources: Sola (2017), sections 5 to 7; Groves (2013), chapter 14.
+15 states, p_n, v_n, theta_b, b_g, b_a, and all further blocks of its layout. Sources: Sola (2017), sections 5 to 7;
+Groves (2013), chapter 14.
 Theory: docs/theory/eskf.md.
 """
 
@@ -62,6 +63,7 @@ def walk_rows(
     t_us: IntArray,
     imu: FloatArray,
     noise: FloatArray,
+    has_gravity: bool,
     r0_e: FloatArray,
     C_ne: FloatArray,
     w_ie_n: FloatArray,
@@ -75,7 +77,7 @@ def walk_rows(
     count: int,
 ) -> int:
     """Walk IMU rows (see Filter.walk); returns how many output rows are filled."""
-    work = workspace(P.shape[0])
+    work = workspace(P.shape[0], has_gravity)
     t = start_us
     before = previous_us
     for k in range(len(t_us)):
@@ -118,7 +120,7 @@ class Eskf:
 
     def __init__(self, noise: ImuNoise, layout: Layout, settings: FilterSettings) -> None:
         self.layout = layout
-        self._noise = noise.as_array()
+        self._noise = noise.as_array(layout)
 
     def adopt(self, state: FilterState) -> None:
         """Nothing to do: the state is all that this filter has."""
@@ -147,6 +149,7 @@ class Eskf:
             t_us,
             imu,
             self._noise,
+            self.layout.has_gravity,
             frame.r0_e,
             frame.C_ne,
             frame.w_ie_n,

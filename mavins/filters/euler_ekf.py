@@ -42,7 +42,7 @@ from mavins.filters.walking import (
     reading_within,
 )
 from mavins.nav.earth import TangentFrame
-from mavins.nav.ins import Vector
+from mavins.nav.ins import Vector, add_walks
 from mavins.nav.kernels import kernel
 from mavins.nav.layout import Layout
 from mavins.nav.linalg import gated_update
@@ -137,6 +137,7 @@ def step(
                 if is_singular(angles[1]):
                     break
                 w0, f0 = w1, f1
+        add_walks(P, noise, dt_us * 1e-6)
         pitch = angles[1]
         if is_singular(pitch):
             pitch = math.copysign(HELD, pitch)
@@ -257,7 +258,7 @@ class EulerEkf:
 
     def __init__(self, noise: ImuNoise, layout: Layout, settings: FilterSettings) -> None:
         self.layout = layout
-        self._noise = noise.as_array()
+        self._noise = noise.as_array(layout)
         self._compat = settings.euler_ekf.compat
 
     def adopt(self, state: FilterState) -> None:

@@ -16,7 +16,7 @@ import math
 
 import numpy as np
 
-from mavins.filters.iterated import J_L, J_R, N_P, N_V, Iterated
+from mavins.filters.iterated import J_L, J_R, N_P, N_V, Iterated, write_gravity_block
 from mavins.nav.ins import Vector
 from mavins.nav.kernels import kernel
 from mavins.nav.layout import boxplus
@@ -67,7 +67,7 @@ def write_bend(N: FloatArray, phi: Vector, d: FloatArray, first: int) -> None:
 
 @kernel
 def group_step(x: FloatArray, s: FloatArray, columns: IntArray, G: FloatArray) -> None:
-    """X <- Exp(xi) x for the correction s (n,) over canonical errors; G (4, 3, 3) <- its derivative by s.
+    """X <- Exp(xi) x for the correction s (n,) over canonical errors; G <- its derivative by s.
 
     With phi = C_nb theta_b and rho = dp + [p]x phi, Exp(phi) p + Jl(phi) rho = p + Jl(phi) dp: the place of the origin
     cancels, and v likewise.
@@ -89,6 +89,7 @@ def group_step(x: FloatArray, s: FloatArray, columns: IntArray, G: FloatArray) -
             d[first + i] = G[J_L, i, 0] * d0 + G[J_L, i, 1] * d1 + G[J_L, i, 2] * d2
             for j in range(3):
                 G[block, i, j] = T[i, 0] * C[0, j] + T[i, 1] * C[1, j] + T[i, 2] * C[2, j]
+    write_gravity_block(G, x, s)
     boxplus(x, d, columns)
 
 

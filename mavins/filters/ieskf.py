@@ -6,7 +6,7 @@ Sources: Bell and Cathey, "The iterated Kalman filter update as a Gauss-Newton m
 
 from __future__ import annotations
 
-from mavins.filters.iterated import J_L, J_R, N_P, N_V, Iterated
+from mavins.filters.iterated import J_L, J_R, N_P, N_V, Iterated, write_gravity_block
 from mavins.nav.kernels import kernel
 from mavins.nav.layout import boxplus
 from mavins.nav.so3 import write_right_jacobian
@@ -15,13 +15,14 @@ from mavins.types import FloatArray, IntArray
 
 @kernel
 def manifold_step(x: FloatArray, s: FloatArray, columns: IntArray, G: FloatArray) -> None:
-    """X <- x [+] s; G (4, 3, 3) <- its derivative by s: Jr(theta) on the attitude, the identity elsewhere."""
+    """X <- x [+] s; G <- its derivative by s: Jr(theta) on the attitude, the like on gravity, else the identity."""
     for i in range(3):
         for j in range(3):
             G[J_L, i, j] = 1.0 if i == j else 0.0
             G[N_P, i, j] = 0.0
             G[N_V, i, j] = 0.0
     write_right_jacobian(G[J_R], s[6], s[7], s[8])
+    write_gravity_block(G, x, s)
     boxplus(x, s, columns)
 
 

@@ -20,14 +20,15 @@ from mavins.filters.base import FilterState, ImuNoise, Observation, Outcome
 from mavins.filters.eskf import Eskf
 from mavins.filters.settings import FilterSettings
 from mavins.nav.kernels import kernel
-from mavins.nav.layout import CANONICAL_SIZE, Layout
+from mavins.nav.layout import CANONICAL_SIZE, GRAVITY, Layout
 from mavins.nav.linalg import gated_update
+from mavins.nav.s2 import write_step_jacobian
 from mavins.types import FloatArray, IntArray
 
 Rows: TypeAlias = Callable[[FloatArray], tuple[FloatArray, FloatArray, FloatArray]]
-"""x (20,) -> (r (m,), H (m, 19), R (m, m)): a measurement linearized at x."""
+"""x (26,) -> (r (m,), H (m, 25), R (m, m)): a measurement linearized at x."""
 Accumulate: TypeAlias = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
-"""x (20,) -> (H^T R^-1 H (k, k), H^T R^-1 r (k,)): the sums over the rows of a scan, linearized at x."""
+"""x (26,) -> (H^T R^-1 H (k, k), H^T R^-1 r (k,)): the sums over the rows of a scan, linearized at x."""
 
 BLOCKS: Final = 4
 J_L, N_P, N_V, J_R = range(BLOCKS)
@@ -35,11 +36,21 @@ J_L, N_P, N_V, J_R = range(BLOCKS)
 
 G is the derivative of the canonical errors at step(x0, s) by s; further errors are additive in every filter.
 """
+J_S: Final = BLOCKS
+"""Where gravity's direction is estimated, G has one block more, with its errors' (2, 2) in the upper left."""
+
+
+@kernel
+def write_gravity_block(G: FloatArray, x: FloatArray, s: FloatArray) -> None:
+    """The block of gravity's direction in G, where there is one, for the step from x by s."""
+    if G.shape[0] > BLOCKS:
+        n = len(s)
+        write_step_jacobian(G[J_S], (x[24], x[25]), s[n - 2], s[n - 1])
 
 
 @kernel
 def turn_rows(M: FloatArray, G: FloatArray) -> None:
-    """M <- G M in place, for M (n, k) with rows of canonical errors and the blocks G (4, 3, 3) of `group_step`."""
+    """M <- G M in place, for M (n, k) with rows of canonical errors and the blocks G (4 or 5, 3, 3) of a step."""
     for c in range(M.shape[1]):
         p0, p1, p2 = M[0, c], M[1, c], M[2, c]
         v0, v1, v2 = M[3, c], M[4, c], M[5, c]
@@ -53,6 +64,11 @@ def turn_rows(M: FloatArray, G: FloatArray) -> None:
                 G[N_V, i, 0] * t0 + G[N_V, i, 1] * t1 + G[N_V, i, 2] * t2
             )
             M[6 + i, c] = G[J_R, i, 0] * t0 + G[J_R, i, 1] * t1 + G[J_R, i, 2] * t2
+        if G.shape[0] > BLOCKS:
+            n = M.shape[0]
+            g0, g1 = M[n - 2, c], M[n - 1, c]
+            M[n - 2, c] = G[J_S, 0, 0] * g0 + G[J_S, 0, 1] * g1
+            M[n - 1, c] = G[J_S, 1, 0] * g0 + G[J_S, 1, 1] * g1
 
 
 @kernel
@@ -93,6 +109,10 @@ def gauss_newton(
                 t += H[i, k] * G[N_P, k, j] + H[i, 3 + k] * G[N_V, k, j]
                 t += H[i, 6 + k] * G[J_R, k, j]
             H_s[i, j], H_s[i, 3 + j], H_s[i, 6 + j] = p, v, t
+        if G.shape[0] > BLOCKS:
+            g0, g1 = H[i, GRAVITY], H[i, GRAVITY + 1]
+            H_s[i, GRAVITY] = g0 * G[J_S, 0, 0] + g1 * G[J_S, 1, 0]
+            H_s[i, GRAVITY + 1] = g0 * G[J_S, 0, 1] + g1 * G[J_S, 1, 1]
         for j in range(n):
             e[i] += H_s[i, columns[j]] * s[j]
     for i in range(n):
@@ -110,7 +130,7 @@ def gauss_newton(
 def compressed(
     information: FloatArray, b: FloatArray, columns: IntArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(r (q,), H (q, 19), R = I) with the same H^T H = `information` (k, k) and H^T r = `b` (k,); q <= k.
+    """(r (q,), H (q, 25), R = I) with the same H^T H = `information` (k, k) and H^T r = `b` (k,); q <= k.
 
     From the eigenvectors of the information, scaled to a unit diagonal so that metres and radians compare; directions
     that no row has seen are left out. r^T r is less than the sum over the rows by what no state can explain.
@@ -130,7 +150,7 @@ class Iterated(Eskf):
     """A filter with the error-state filter's walk and an iterated update along its `step`."""
 
     step: ClassVar[staticmethod[[FloatArray, FloatArray, IntArray, FloatArray], None]]
-    """A kernel of (x (20,), s (n,), columns (n,), G (4, 3, 3)): x <- step(x, s), and G <- its derivative by s."""
+    """A kernel of (x (26,), s (n,), columns (n,), G (4 or 5, 3, 3)): x <- step(x, s), and G <- its derivative by s."""
 
     def __init__(self, noise: ImuNoise, layout: Layout, settings: FilterSettings) -> None:
         super().__init__(noise, layout, settings)
@@ -179,8 +199,9 @@ class Iterated(Eskf):
     def _search(self, state: FilterState, rows: Rows, gate: float, sigma: FloatArray) -> float:
         """Search from the predicted state; sigma (m,) <- sqrt(diag S) there. Returns the NIS there."""
         x, P, columns = state.x, state.P, self.layout.columns
-        s, A, G = np.zeros(len(P)), np.empty_like(P), np.zeros((BLOCKS, 3, 3))
-        G[J_L] = G[J_R] = np.eye(3)
+        s, A = np.zeros(len(P)), np.empty_like(P)
+        G = np.zeros((BLOCKS + self.layout.has_gravity, 3, 3))
+        G[J_L] = G[J_R] = G[J_S:] = np.eye(3)
         nis, longest = gauss_newton(P, s, G, *rows(x), columns, gate, A, sigma)
         if not nis <= gate:
             return nis
@@ -199,7 +220,7 @@ class Iterated(Eskf):
         return nis
 
     def _stepped(self, x: FloatArray, s: FloatArray, G: FloatArray) -> FloatArray:
-        """step(x, s) (20,), with G <- its derivative."""
+        """step(x, s) (26,), with G <- its derivative."""
         stepped = x.copy()
         self.step(stepped, s, self.layout.columns, G)
         return stepped

@@ -23,11 +23,13 @@ from mavins.nav.ins import (
     CORE_SIZE,
     MOVING,
     Workspace,
+    add_gravity_transition,
     apply_transition,
     increments_from_rates,
     mechanize,
     transition,
     workspace,
+    write_gravity_transition,
 )
 from mavins.nav.kernels import kernel
 from mavins.nav.layout import boxminus, boxplus
@@ -52,8 +54,8 @@ def step_transition(
     w_ie_n: FloatArray,
     work: Workspace,
 ) -> None:
-    """M (15, 15) <- Phi M over the interval from reading `u` to reading `row`; moves x and u (see eskf.step)."""
-    C, A, moved = work[0], work[1], work[2]
+    """M (k, k) <- Phi M over the interval from reading `u` to reading `row`; moves x and u (see eskf.step)."""
+    C, A, moved, K = work[0], work[1], work[2], work[5]
     pieces = pieces_of(dt_us)
     h = dt_us * 1e-6 / pieces
     w0, f0 = reading_within(x, u, row, 0.0, dt_us)
@@ -68,6 +70,9 @@ def step_transition(
         for r in range(MOVING):
             for c in range(n):
                 M[r, c] = moved[r, c]
+        if K.shape[1]:
+            write_gravity_transition(K, x, g, h)
+            add_gravity_transition(M, K)
         w0, f0 = w1, f1
     for i in range(6):
         u[i] = row[i]
@@ -75,9 +80,9 @@ def step_transition(
 
 @kernel
 def close_transition(M: FloatArray, out: FloatArray) -> None:
-    """Out (9, 15) <- the moving rows of M (15, 15), the others being the identity's; M <- identity."""
+    """Out (9, k) <- the moving rows of M (k, k), the others being the identity's; M <- identity."""
     for r in range(MOVING):
-        for c in range(CORE_SIZE):
+        for c in range(M.shape[1]):
             out[r, c] = M[r, c]
             M[r, c] = 1.0 if r == c else 0.0
 
@@ -97,11 +102,12 @@ def walk_transitions(
     w_ie_n: FloatArray,
     out: FloatArray,
 ) -> int:
-    """Walk IMU rows as Filter.walk does; out (N, 9, 15) <- Phi from due row to due row; returns how many.
+    """Walk IMU rows as Filter.walk does; out (N, 9, k) <- Phi from due row to due row; returns how many.
 
-    M (15, 15) holds Phi since the last node, before and after; x (20,) and u (6,) are moved along.
+    M (k, k) holds Phi since the last node, before and after; x (26,) and u (6,) are moved along. Of the columns of Phi
+    there are the core's, or all where gravity's direction is among them.
     """
-    work = workspace(CORE_SIZE)
+    work = workspace(M.shape[0], M.shape[0] > CORE_SIZE)
     t = start_us
     count = 0
     for k in range(len(t_us)):
@@ -120,7 +126,7 @@ def walk_transitions(
 
 @kernel
 def pull_back(lam: FloatArray, Lam: FloatArray, Phi: FloatArray, work: FloatArray) -> None:
-    """Turn lam into Phi^T lam and Lam into Phi^T Lam Phi for Phi (9, 15), its other rows being the identity's.
+    """Turn lam into Phi^T lam and Lam into Phi^T Lam Phi for Phi (9, k), its other rows being the identity's.
 
     work (n + 1, n) is scratch.
     """
@@ -258,9 +264,9 @@ def smooth_back(
     Lam: FloatArray,
     columns: IntArray,
 ) -> None:
-    """Smooth the nodes x (K, 20), P (K, n, n) in place, those that are wanted; lam and Lam are taken from end to start.
+    """Smooth the nodes x (K, 26), P (K, n, n) in place, those that are wanted; lam and Lam are taken from end to start.
 
-    `kind` (K,) says how a node follows the one before, Phi (K, 9, 15) is the transition to it where it moved. At a
+    `kind` (K,) says how a node follows the one before, Phi (K, 9, k) is the transition to it where it moved. At a
     reset, and where a prediction is not positive definite, nothing of what came later is passed on.
     """
     n = P.shape[1]

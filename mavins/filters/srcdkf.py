@@ -4,7 +4,8 @@ In place of P it keeps S, lower triangular, P = S^T S. Sigma points x [+] (+- h 
 (sigma_points.py); what is left of them after an interval, or in a measurement's columns, orthogonal transformations
 make a triangle again (nav/square_root.py).
 
-15 states: p_n, v_n, theta_b, b_g, b_a. Sources: Norgaard, Poulsen and Ravn (2000); van der Merwe (2004), chapter 3;
+15 states, p_n, v_n, theta_b, b_g, b_a, and further blocks of its layout, except gravity's direction. Sources:
+Norgaard, Poulsen and Ravn (2000); van der Merwe (2004), chapter 3;
 Kailath, Sayed and Hassibi (2000), chapter 12. Theory: docs/theory/srcdkf.md.
 """
 
@@ -36,12 +37,13 @@ from mavins.filters.walking import (
 )
 from mavins.nav.deviations import write_interval
 from mavins.nav.earth import TangentFrame
-from mavins.nav.ins import increments_from_rates, mechanize
+from mavins.nav.ins import CORE_SIZE, increments_from_rates, mechanize
 from mavins.nav.kernels import kernel
 from mavins.nav.layout import TAU, X_TAU, Layout, boxplus
 from mavins.nav.linalg import cholesky
 from mavins.nav.square_root import (
     WIDTH,
+    add_deviation,
     deviations,
     root_of,
     square_of,
@@ -87,6 +89,8 @@ def step(
             propagate_fully(S, noise, scale, r0_e, C_ne, work)
         else:
             propagate(S, noise, scale, r0_e, C_ne, work)
+        for j in range(4, len(noise)):
+            add_deviation(S, CORE_SIZE - 4 + j, noise[j] * math.sqrt(dt), work[2])
         boxplus(x, mean, columns)
         w0, f0 = w1, f1
     for c in range(6):
@@ -141,7 +145,7 @@ def walk_rows(
 
 @kernel
 def sigma_points(x: FloatArray, S: FloatArray, columns: IntArray) -> FloatArray:
-    """The nominal states (2 n, 20) of x [+] h s_i, then of x [+] -h s_i."""
+    """The nominal states (2 n, 26) of x [+] h s_i, then of x [+] -h s_i."""
     n = S.shape[0]
     X = np.empty((2 * n, len(x)))
     e = np.empty(n)
@@ -234,7 +238,7 @@ class Srcdkf:
 
     def __init__(self, noise: ImuNoise, layout: Layout, settings: FilterSettings) -> None:
         self.layout = layout
-        self._noise = noise.as_array()
+        self._noise = noise.as_array(layout)
         self._full = settings.srcdkf.full
         self._tau = np.flatnonzero(layout.columns == TAU.start)
 

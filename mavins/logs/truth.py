@@ -11,9 +11,10 @@ from typing import Final
 
 import numpy as np
 
-from mavins.mavlink.codec.decode import FIRST_UNIX_US, payload_rows
+from mavins.mavlink.codec.decode import FIRST_UNIX_US
 from mavins.mavlink.codec.fields import fields_of
 from mavins.mavlink.codec.framing import Frames
+from mavins.mavlink.codec.tables import payload_rows
 from mavins.types import FloatArray, IntArray
 
 _HIL_STATE_QUATERNION: Final = fields_of("HIL_STATE_QUATERNION")

@@ -115,9 +115,7 @@ class Clock:
         `stamp_us` (N,) as sent, `received_us` (N,) microseconds of our clock; `wraps` for boot
         milliseconds.
         """
-        t_us = np.empty(len(stamp_us), np.int64)
-        verdict = np.empty(len(stamp_us), np.int64)
-        before = np.empty(len(stamp_us), np.int64)
+        t_us, verdict, before = np.empty((3, len(stamp_us)), np.int64)
         regular = _map_rows(self._state, stamp_us, received_us, wraps, t_us, verdict, before)
         if regular:
             return ImuTimes(t_us, verdict == _KEEP, (), 0, 0)

@@ -1,4 +1,4 @@
-"""One vehicle's messages on their way into its estimator: chooses sources, maps clocks, makes fixes.
+"""One vehicle's messages on their way into its estimator: chooses sources, maps clocks.
 
 Live and replay both come through `Intake.take`: live with the packets of one datagram, replay with those of a whole
 log. Neighbouring IMU packets go on as one table; the outcome does not depend on how they were grouped.
@@ -6,25 +6,19 @@ log. Neighbouring IMU packets go on as one table; the outcome does not depend on
 
 from __future__ import annotations
 
-import math
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable
-from typing import Any, ClassVar, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 
 from mavins.estimator.feed import Feed
 from mavins.estimator.settings import Settings
-from mavins.mavlink.clock import Clock, ImuTimes, is_unix
+from mavins.mavlink.clock import Clock, ImuTimes
 from mavins.mavlink.codec import (
     IMU_KINDS,
-    Attitude,
     Frames,
-    GlobalPosition,
-    GpsInput,
-    GpsRaw,
     Heartbeat,
-    HilGps,
     Invalid,
     SystemTime,
     decode,
@@ -32,18 +26,13 @@ from mavins.mavlink.codec import (
     name_of,
 )
 from mavins.mavlink.codec.framing import gather
+from mavins.mavlink.fixes import Fixes
 from mavins.mavlink.imu_source import IMU_IDS, ImuSource, Samples
 from mavins.mavlink.sources import Sources, SourceSettings, resolve
-from mavins.types import FloatArray, GnssFix, HeadingFix, ImuTable, IntArray, MagSample
+from mavins.types import FloatArray, GnssFix, ImuTable, IntArray, MagSample
 
 HEARTBEAT_WAIT_US: Final = 3_000_000
 """A vehicle without a HEARTBEAT for this long is taken for one that sends raw sensors."""
-PAIR_US: Final = 1_500_000
-"""GPS_RAW_INT lends GLOBAL_POSITION_INT its fix type and accuracies up to this age."""
-VERTICAL_US: Final = 250_000
-REMEMBERED: Final = 50
-"""So many stamps of fixes and headings are kept to know a repeated one by."""
-
 _OTHER_IDS: Final = np.array(
     sorted(
         fields_of(name).msgid
@@ -63,8 +52,6 @@ RELEVANT: Final = np.union1d(IMU_IDS, _OTHER_IDS)
 """The message ids that an intake looks at; all others may be left out."""
 _FROM_ANY_COMPONENT: Final = ("GPS_INPUT", "HIL_GPS")
 _MAV_AUTOPILOT_INVALID: Final = 8
-_ATTITUDE_ID: Final = fields_of("ATTITUDE").msgid
-_GLOBAL_POSITION_ID: Final = fields_of("GLOBAL_POSITION_INT").msgid
 
 
 def _boot_stamps(frames: Frames, at: IntArray) -> list[int]:
@@ -76,47 +63,25 @@ def _boot_stamps(frames: Frames, at: IntArray) -> list[int]:
     return stamps
 
 
-class Stamped(Protocol):
-    """A message with a stamp."""
-
-    kind: ClassVar[str]
-    wraps: ClassVar[bool]
-
-    @property
-    def stamp_us(self) -> int:
-        """The stamp as sent."""
-
-
 class Intake:
     """Feeds one vehicle's estimator from its packets."""
 
     def __init__(self, estimator: Feed, settings: SourceSettings) -> None:
         self.estimator = estimator
         self.clock = Clock()
-        self.sources: Sources | None = None
-        self.autopilot: int | None = None
         self.counts: Counter[str] = Counter()
         self.dropped: Counter[str] = Counter()
         self.imu = ImuSource(self.dropped, estimator.settings.magnetometer.enabled is True)
+        self.fixes = Fixes(estimator, self.clock, self.dropped)
+        self.autopilot: int | None = None
         self.reboots = 0
-        self.last_fix: GnssFix | None = None
         self._settings = settings
         self._tuning = estimator.settings
-        self._quality: GpsRaw | None = None
-        self._quality_us = 0
-        self._vertical: tuple[int, float] | None = None
-        self._fix_stamps: deque[int] = deque(maxlen=REMEMBERED)
-        self._heading_stamps: deque[int] = deque(maxlen=REMEMBERED)
-        self._heading_stamp: int | None = None
         self._field_us: int | None = None
         self._handlers: dict[str, Callable[[Any, int], None]] = {
             "HEARTBEAT": self._heartbeat,
             "SYSTEM_TIME": self._system_time,
-            "GPS_RAW_INT": self._gps_raw,
-            "GLOBAL_POSITION_INT": self._global_position,
-            "GPS_INPUT": self._gps_input,
-            "HIL_GPS": self._hil_gps,
-            "ATTITUDE": self._attitude,
+            **self.fixes.handlers,
         }
 
     def reconfigure(self, settings: Settings, filter_name: str, sources: SourceSettings) -> None:
@@ -125,6 +90,16 @@ class Intake:
         self._settings, self._tuning = sources, settings
         if self.autopilot is not None:
             self._resolve(self.autopilot)
+
+    @property
+    def sources(self) -> Sources | None:
+        """The messages that are used, once that is known."""
+        return self.fixes.sources
+
+    @property
+    def last_fix(self) -> GnssFix | None:
+        """The newest fix that went to the estimator."""
+        return self.fixes.last
 
     def take(self, frames: Frames) -> None:
         """Take packets of this vehicle, in their order, each with its reception stamp in `frames.t_us`.
@@ -144,11 +119,10 @@ class Intake:
         samples = self.imu.samples(frames, np.flatnonzero(is_imu))
         others = np.flatnonzero(~is_imu)
         stamps = _boot_stamps(frames, others)
-        taken = 0
-        for i, stamp_us, before in zip(
-            others.tolist(), stamps, np.searchsorted(samples.at, others).tolist(), strict=True
-        ):
-            if self._is_idle(int(frames.msgid[i]), stamp_us):
+        msgids, places = frames.msgid[others].tolist(), np.searchsorted(samples.at, others).tolist()
+        is_idle, taken = self.fixes.is_idle, 0
+        for i, msgid, stamp_us, before in zip(others.tolist(), msgids, stamps, places, strict=True):
+            if is_idle(msgid, stamp_us):
                 continue
             if before > taken:
                 self._place(samples, slice(taken, before))
@@ -162,7 +136,7 @@ class Intake:
         msgid = int(frames.msgid[0])
         self.counts[name_of(msgid)] += 1
         if msgid not in IMU_KINDS:
-            if not self._is_idle(msgid, int.from_bytes(frames.body(0, 4), "little") * 1000):
+            if not self.fixes.is_idle(msgid, int.from_bytes(frames.body(0, 4), "little") * 1000):
                 self._take_other(frames, 0)
         elif self.imu.chosen is not None or self.imu.offer(frames, 0):
             sample = self.imu.sample(frames, 0)
@@ -176,25 +150,6 @@ class Intake:
             return {}
         seconds = (newest_us - first_us) * 1e-6
         return {name: n / seconds for name, n in self.counts.items()}
-
-    def _is_idle(self, msgid: int, stamp_us: int) -> bool:
-        """True for a packet that will change nothing, told at a glance: most ATTITUDEs and GLOBAL_POSITION_INTs."""
-        sources = self.sources
-        if sources is None:
-            return False
-        if msgid == _ATTITUDE_ID:
-            return sources.heading != "attitude" or self._too_soon(stamp_us)
-        if msgid == _GLOBAL_POSITION_ID:
-            return sources.gnss != "global_position_int" and not sources.vertical_velocity
-        return False
-
-    def _too_soon(self, stamp_us: int) -> bool:
-        """True for a heading that follows the last one sooner than the sources allow."""
-        rate = self.sources.heading_rate if self.sources is not None else None
-        if rate is None or self._heading_stamp is None:
-            return False
-        # a twentieth of slack: stamps on a grid must not fall just short of it
-        return abs(stamp_us - self._heading_stamp) < 0.95e6 / rate
 
     # ---- IMU ---------------------------------------------------------------------------------------------------
 
@@ -276,11 +231,7 @@ class Intake:
 
     def _forget(self) -> None:
         """A reboot voids every stamp that was kept."""
-        self._quality = None
-        self._vertical = None
-        self._fix_stamps.clear()
-        self._heading_stamps.clear()
-        self._heading_stamp = None
+        self.fixes.forget()
         self._field_us = None
 
     # ---- everything else ---------------------------------------------------------------------------------------
@@ -301,15 +252,7 @@ class Intake:
     def _resolve(self, autopilot: int) -> None:
         self.autopilot = autopilot
         tuning = self._tuning
-        self.sources = resolve(self._settings, tuning.gnss, tuning.heading, autopilot)
-
-    def _time_of(self, message: Stamped, received_us: int) -> int | None:
-        """The message's stamp on the time base, or None (counted) where it has none."""
-        t_us = self.clock.map(message.stamp_us, received_us, message.wraps)
-        if isinstance(t_us, str):
-            self.dropped[f"{message.kind} {t_us}"] += 1
-            return None
-        return t_us
+        self.fixes.sources = resolve(self._settings, tuning.gnss, tuning.heading, autopilot)
 
     def _heartbeat(self, message: Heartbeat, received_us: int) -> None:
         if self.autopilot != message.autopilot:
@@ -317,156 +260,3 @@ class Intake:
 
     def _system_time(self, message: SystemTime, received_us: int) -> None:
         self.clock.system_time(message.unix_us, message.boot_us)
-
-    def _gps_raw(self, message: GpsRaw, received_us: int) -> None:
-        sources = self.sources
-        if sources is None:
-            self.dropped["GPS_RAW_INT before HEARTBEAT"] += 1
-            return
-        if sources.heading == "gps_yaw" and message.yaw is not None and message.fix_type >= 3:
-            self._use_heading(message, message.yaw, message.hdg_acc, "gps_yaw", received_us)
-        self._quality = message
-        self._quality_us = received_us
-        if sources.gnss != "gps_raw_int":
-            return
-        v_l = None
-        if message.speed is not None and message.course is not None:
-            v_l = (
-                message.speed * math.cos(message.course),
-                message.speed * math.sin(message.course),
-                math.nan,
-            )
-            vertical = self._vertical
-            if sources.vertical_velocity and vertical is not None:
-                fresh = abs(received_us - vertical[0]) <= VERTICAL_US
-                v_l = (v_l[0], v_l[1], vertical[1] if fresh else math.nan)
-        self._use_fix(
-            message,
-            message.alt,
-            v_l,
-            message.fix_type,
-            message.satellites,
-            message.h_acc,
-            message.v_acc,
-            message.vel_acc,
-            received_us,
-        )
-
-    def _global_position(self, message: GlobalPosition, received_us: int) -> None:
-        sources = self.sources
-        self._vertical = (received_us, message.v_l[2])
-        if sources is None or sources.gnss != "global_position_int":
-            return
-        quality = self._quality
-        if quality is None or received_us - self._quality_us > PAIR_US:
-            self.dropped["GLOBAL_POSITION_INT without GPS_RAW_INT"] += 1
-            return
-        v_l = message.v_l if sources.vertical_velocity else (*message.v_l[:2], math.nan)
-        self._use_fix(
-            message,
-            message.alt,
-            v_l,
-            quality.fix_type,
-            quality.satellites,
-            quality.h_acc,
-            quality.v_acc,
-            quality.vel_acc,
-            received_us,
-        )
-
-    def _gps_input(self, message: GpsInput, received_us: int) -> None:
-        if self.sources is None or self.sources.gnss != "gps_input" or message.alt is None:
-            return
-        self._use_fix(
-            message,
-            message.alt,
-            message.v_l,
-            message.fix_type,
-            message.satellites,
-            message.h_acc,
-            message.v_acc,
-            message.vel_acc,
-            received_us,
-        )
-
-    def _hil_gps(self, message: HilGps, received_us: int) -> None:
-        if self.sources is None or self.sources.gnss != "hil_gps":
-            return
-        self._use_fix(
-            message,
-            message.alt,
-            message.v_l,
-            message.fix_type,
-            message.satellites,
-            None,
-            None,
-            None,
-            received_us,
-        )
-
-    def _attitude(self, message: Attitude, received_us: int) -> None:
-        if self.sources is not None and self.sources.heading == "attitude":
-            self._use_heading(message, message.yaw, None, "attitude", received_us)
-
-    def _use_fix(
-        self,
-        message: GpsRaw | GlobalPosition | GpsInput | HilGps,
-        alt: float,
-        v_l: tuple[float, float, float] | None,
-        fix_type: int,
-        satellites: int | None,
-        sigma_h: float | None,
-        sigma_v: float | None,
-        sigma_speed: float | None,
-        received_us: int,
-    ) -> None:
-        """Hand a fix over, once per stamp."""
-        assert self.sources is not None
-        if message.stamp_us in self._fix_stamps:
-            self.dropped[f"{message.kind} repeated stamp"] += 1
-            return
-        t_us = self._time_of(message, received_us)
-        if t_us is None:
-            return
-        self._fix_stamps.append(message.stamp_us)
-        utc = is_unix(message.stamp_us) and not is_unix(self.clock.newest_us or 0)
-        fix = GnssFix(
-            t_us=t_us,
-            lat=message.lat,
-            lon=message.lon,
-            alt=alt,
-            v_l=v_l,
-            fix_type=fix_type,
-            satellites=satellites,
-            sigma_h=sigma_h,
-            sigma_v=sigma_v,
-            sigma_speed=sigma_speed,
-            source=message.kind,
-            delay=self.sources.utc_delay if utc else self.sources.gnss_delay,
-        )
-        self.last_fix = fix
-        self.estimator.feed_gnss(fix)
-
-    def _use_heading(
-        self,
-        message: GpsRaw | Attitude,
-        yaw: float,
-        sigma: float | None,
-        source: str,
-        received_us: int,
-    ) -> None:
-        """Hand a heading over, no oftener than the sources allow."""
-        assert self.sources is not None
-        if message.stamp_us in self._heading_stamps:
-            self.dropped[f"{message.kind} repeated stamp"] += 1
-            return
-        if self._too_soon(message.stamp_us):
-            return
-        t_us = self._time_of(message, received_us)
-        if t_us is None:
-            return
-        self._heading_stamp = message.stamp_us
-        self._heading_stamps.append(message.stamp_us)
-        self.estimator.feed_heading(
-            HeadingFix(t_us, yaw, sigma, source, self.sources.heading_delay)
-        )

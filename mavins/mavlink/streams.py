@@ -121,13 +121,18 @@ class Plan:
     def __init__(self, period_us: Mapping[str, int], before_us: int | None = None) -> None:
         self.period_us = dict(period_us)
         self.before_us = before_us
+        self._next_us = 0
 
     def due(self, t_us: int) -> list[str]:
         """The messages that reached a multiple of their period since the last call; all at first and after a reboot."""
         before, self.before_us = self.before_us, t_us
+        if before is not None and before <= t_us < self._next_us:
+            return []
+        periods = self.period_us
+        self._next_us = min(((t_us // p + 1) * p for p in periods.values()), default=t_us)
         if before is None or t_us < before:
-            return list(self.period_us)
-        return [n for n, period in self.period_us.items() if t_us // period > before // period]
+            return list(periods)
+        return [n for n, period in periods.items() if t_us // period > before // period]
 
     def copy(self) -> Plan:
         """The same plan at the same point of time."""

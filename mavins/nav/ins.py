@@ -6,6 +6,7 @@
 
 An interval enters as a rotation vector `phi` and a velocity increment `dv`, both in the body frame at the
 interval's start, with the coning and sculling terms already in them. Errors are canonical (layout.py).
+Where gravity's direction is estimated, g_n(p) is normal gravity turned by the state's deviation (s2.py).
 Sources: Savage, "Strapdown Inertial Navigation Integration Algorithm Design" (1998), parts 1 and 2; Sola
 (2017), section 5. Theory: docs/theory/mechanization.md.
 
@@ -21,11 +22,12 @@ import numpy as np
 
 from mavins.nav.earth import gravity_at, write_gravity_gradient
 from mavins.nav.kernels import kernel
+from mavins.nav.s2 import tilted, write_gravity_jacobian
 from mavins.nav.so3 import exponential, product, write_dcm, write_right_jacobian
 from mavins.types import FloatArray
 
 Vector: TypeAlias = tuple[float, float, float]
-Workspace: TypeAlias = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
+Workspace: TypeAlias = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
 
 
 @kernel
@@ -107,6 +109,8 @@ def mechanize(
     w = (w_ie_n[0], w_ie_n[1], w_ie_n[2])
     v = (x[3], x[4], x[5])
     g = gravity_at(x[0] + h * v[0], x[1] + h * v[1], x[2] + h * v[2], r0_e, C_ne)
+    if x[24] != 0.0 or x[25] != 0.0:
+        g = tilted((x[24], x[25]), g)
     u0 = C[0, 0] * dv[0] + C[0, 1] * dv[1] + C[0, 2] * dv[2]
     u1 = C[1, 0] * dv[0] + C[1, 1] * dv[1] + C[1, 2] * dv[2]
     u2 = C[2, 0] * dv[0] + C[2, 1] * dv[1] + C[2, 2] * dv[2]
@@ -236,7 +240,7 @@ def propagate_covariance(
     the second one is needed for the lower triangle of the moving block only.
     """
     n = P.shape[0]
-    _, _, half, turned, block = work
+    _, _, half, turned, block, _ = work
     apply_transition(P, A, C, dt, half, n, n, n)
     for c in range(CORE_SIZE):
         for r in range(MOVING):
@@ -257,15 +261,56 @@ def propagate_covariance(
 
 
 @kernel
-def workspace(n: int) -> Workspace:
-    """The scratch arrays that `predict` needs for a covariance of n states."""
+def write_gravity_transition(K: FloatArray, x: FloatArray, g: Vector, dt: float) -> None:
+    """K (6, 2) <- what an error of gravity's direction adds to those of p_n and v_n in dt: dg dt^2/2 and dg dt."""
+    write_gravity_jacobian(K, (x[24], x[25]), g)
+    for i in range(3):
+        for j in range(2):
+            K[3 + i, j] = dt * K[i, j]
+            K[i, j] = 0.5 * dt * K[3 + i, j]
+
+
+@kernel
+def add_gravity_transition(M: FloatArray, K: FloatArray) -> None:
+    """M <- (I + K) M for M (n, k) over errors of which the last two are gravity's.
+
+    Those stay as they are, so that with the other columns' transition Phi before it this is all of the transition.
+    """
+    n = M.shape[0]
+    for i in range(K.shape[0]):
+        for c in range(M.shape[1]):
+            M[i, c] += K[i, 0] * M[n - 2, c] + K[i, 1] * M[n - 1, c]
+
+
+@kernel
+def feel_gravity(P: FloatArray, K: FloatArray) -> None:
+    """P <- (I + K) P (I + K)^T, in place and exactly symmetric."""
+    add_gravity_transition(P, K)
+    add_gravity_transition(P.T, K)
+    for i in range(K.shape[0]):
+        for j in range(i + 1, P.shape[0]):
+            P[j, i] = P[i, j]
+
+
+@kernel
+def workspace(n: int, has_gravity: bool) -> Workspace:
+    """The scratch arrays that `predict` needs for a covariance of n states, the last two of gravity where it has it."""
     return (
         np.empty((3, 3)),
         np.empty((BLOCKS, 3, 3)),
         np.empty((MOVING, n)),
         np.zeros((CORE_SIZE, TURNED)),
         np.empty((MOVING, TURNED)),
+        np.empty((6, 2 if has_gravity else 0)),
     )
+
+
+@kernel
+def add_walks(P: FloatArray, noise: FloatArray, dt: float) -> None:
+    """P <- P + the random walks of the states after the core, whose root PSDs follow the four of the IMU in `noise`."""
+    for k in range(4, len(noise)):
+        i = CORE_SIZE - 4 + k
+        P[i, i] += noise[k] * noise[k] * dt
 
 
 @kernel
@@ -284,14 +329,18 @@ def predict(
 ) -> None:
     """One interval, in place: x by `mechanize`, P <- Phi P Phi^T + Q, exactly symmetric.
 
-    `noise` (4,) holds the root PSDs of gyro (rad/s/sqrt(Hz)), accelerometer (m/s^2/sqrt(Hz)), gyro bias walk
-    (rad/s^2/sqrt(Hz)) and accelerometer bias walk (m/s^3/sqrt(Hz)); the first two are taken `scale` times. Q holds
-    the velocity noise with its integral into the position; further cross terms are of a higher order in dt.
+    `noise` (4 + k,) holds the root PSDs of gyro (rad/s/sqrt(Hz)), accelerometer (m/s^2/sqrt(Hz)), gyro bias walk
+    (rad/s^2/sqrt(Hz)) and accelerometer bias walk (m/s^3/sqrt(Hz)), then those of the walks of the first k states after
+    the core; the first two are taken `scale` times. Q holds the velocity noise with its integral into the position;
+    further cross terms are of a higher order in dt.
     """
-    C, A = work[0], work[1]
+    C, A, K = work[0], work[1], work[5]
     g = mechanize(x, phi, dv, dt, r0_e, C_ne, w_ie_n, C)
     transition(A, C, g, phi, dv, dt, w_ie_n)
     propagate_covariance(P, A, C, dt, work)
+    if K.shape[1]:
+        write_gravity_transition(K, x, g, dt)
+        feel_gravity(P, K)
     qg = scale * scale * noise[0] * noise[0] * dt
     qa = scale * scale * noise[1] * noise[1] * dt
     qbg = noise[2] * noise[2] * dt
@@ -304,3 +353,4 @@ def predict(
         P[6 + i, 6 + i] += qg
         P[9 + i, 9 + i] += qbg
         P[12 + i, 12 + i] += qba
+    add_walks(P, noise, dt)

@@ -50,7 +50,7 @@ def gated_update(
 ) -> float:
     """Update P (n, n) with m rows if their NIS is at most `gate`; returns the NIS, d (n,) <- the correction K r.
 
-    r (m,) is the residual z - h(x), H (m, 19) its Jacobian over the canonical errors, of which the layout's
+    r (m,) is the residual z - h(x), H (m, 25) its Jacobian over the canonical errors, of which the layout's
     `columns` are taken, R (m, m) the noise covariance; sigma (m,) <- sqrt(diag S), what the residuals should look like.
     A NIS above the gate, or nan where R, S or the updated P is not positive definite, means that P was left as it was
     and d must not be used.

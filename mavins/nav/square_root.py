@@ -17,7 +17,7 @@ from mavins.nav.kernels import kernel
 from mavins.types import FloatArray
 
 WIDTH = 32
-"""The places in a row of deviations: enough for 19 states and a measurement of 13."""
+"""The places in a row of deviations: enough for 23 states and a measurement of 9."""
 ROWS = 8
 R1, R2, R3, R4, R5, R6, R7 = (k * WIDTH for k in range(1, ROWS))
 """Deviations are taken so many rows at a time; where the rows begin."""
@@ -130,6 +130,27 @@ def take_triangle(S: FloatArray, M: FloatArray, first: int, last: int, count: in
         sign = -1.0 if M[first + k, row] < 0.0 else 1.0
         for j in range(row + 1):
             S[row, j] = sign * M[first + k, j]
+
+
+@kernel
+def add_deviation(S: FloatArray, k: int, sigma: float, t: FloatArray) -> None:
+    """S <- the root of S^T S with sigma^2 more on its k-th diagonal place, by k + 1 plane rotations.
+
+    t (n,) is scratch: the one row more, which the rows of S take up from the k-th to the first.
+    """
+    if sigma == 0.0:
+        return
+    for j in range(k):
+        t[j] = 0.0
+    t[k] = sigma
+    for back in range(k + 1):
+        row = k - back
+        length = math.sqrt(S[row, row] * S[row, row] + t[row] * t[row])
+        c, s = S[row, row] / length, t[row] / length
+        for j in range(row + 1):
+            a, b = S[row, j], t[j]
+            S[row, j] = c * a + s * b
+            t[j] = c * b - s * a
 
 
 @kernel

@@ -16,6 +16,7 @@ import numpy as np
 from mavins.filters import REGISTRY, Filter, FilterSettings, FilterState, ImuNoise, RowBlock, make
 from mavins.filters.settings import SrcdkfSettings
 from mavins.nav.earth import TangentFrame, gravity_n
+from mavins.nav.layout import X_SIZE
 from mavins.types import FloatArray, IntArray, Origin
 
 SAMPLES = 100
@@ -74,7 +75,7 @@ def walker(
 
 def main() -> None:
     frame = TangentFrame.at(Origin(math.radians(47.4), math.radians(8.5), 488.0))
-    x = np.zeros(20)
+    x = np.zeros(X_SIZE)
     x[6] = 1.0
     prior = np.repeat([1.0, 0.3, 0.05, 0.01, 0.2], 3) ** 2
     imu = np.random.default_rng(1).normal(size=(SAMPLES, 6)) * np.repeat([0.05, 0.5], 3)

@@ -16,7 +16,7 @@ from mavins.filters.base import ImuNoise
 from mavins.filters.eskf import fuse
 from mavins.nav.earth import TangentFrame, gravity_n
 from mavins.nav.ins import increments_from_rates, predict, workspace
-from mavins.nav.layout import Layout
+from mavins.nav.layout import CANONICAL_SIZE, X_SIZE, Layout
 from mavins.types import FloatArray, IntArray, Origin
 
 LOOPS = 500
@@ -47,7 +47,7 @@ def predictions(
     C_ne: FloatArray,
     w_ie_n: FloatArray,
 ) -> None:
-    work = workspace(P.shape[0])
+    work = workspace(P.shape[0], False)
     for k in range(n):
         a, b = imu[k % 100], imu[(k + 1) % 100]
         phi, dv = increments_from_rates(
@@ -93,13 +93,13 @@ def main() -> None:
     frame = TangentFrame.at(Origin(math.radians(47.4), math.radians(8.5), 488.0))
     earth = (frame.r0_e, frame.C_ne, frame.w_ie_n)
     rng = np.random.default_rng(1)
-    x = np.zeros(20)
+    x = np.zeros(X_SIZE)
     x[6] = 1.0
     prior = np.diag(np.repeat([1.0, 0.3, 0.05, 0.01, 0.2], 3) ** 2)
     imu = rng.normal(size=(100, 6)) * np.repeat([0.05, 0.5], 3)
     imu[:, 3:] -= gravity_n(np.zeros(3), frame.r0_e, frame.C_ne)
-    noise = ImuNoise(0.015, 0.35, 1e-4, 3e-3).as_array()
-    H = np.zeros((6, 19))
+    noise = ImuNoise(0.015, 0.35, 1e-4, 3e-3).as_array(Layout.of())
+    H = np.zeros((6, CANONICAL_SIZE))
     H[:3, :3] = H[3:, 3:6] = np.eye(3)
     H[:3, 6:9] = H[3:, 6:9] = 0.1 * rng.normal(size=(3, 3))
     H[3:, 9:12] = 0.1 * rng.normal(size=(3, 3))

@@ -19,6 +19,7 @@ from mavins.estimator.settings import (
 )
 from mavins.evaluation.consistency import band, errors, nees, share_inside
 from mavins.evaluation.montecarlo import Estimates, estimate
+from mavins.nav.layout import X_SIZE
 from mavins.types import FloatArray, Origin
 from sitl.gnss import MarkovSettings
 from sitl.imu import TriadSettings
@@ -71,7 +72,7 @@ def origin_of(scenario: Scenario) -> Origin:
 def true_states(truth: TruthTable, estimates: Estimates) -> FloatArray:
     k = np.searchsorted(truth.t_us, estimates.t_us)
     assert np.array_equal(truth.t_us[k], estimates.t_us)
-    x = np.zeros((len(k), 20))
+    x = np.zeros((len(k), X_SIZE))
     x[:, :16] = np.hstack(
         [truth.p_n[k], truth.v_n[k], truth.q_nb[k], truth.b_g[k], truth.b_a[k]],
     )

@@ -188,3 +188,22 @@ def test_further_states_have_columns_of_their_own(tmp_path: Path) -> None:
     assert [values[f"l_b_{axis}"] for axis in "xyz"] == [0.1, -0.2, 0.3]
     assert [values[f"sd_l_b_{axis}"] for axis in "xyz"] == [0.1, 0.2, 0.3]
     assert (values["tau"], values["sd_tau"]) == (0.18, 0.05)
+
+
+def test_biases_and_gravity_have_columns_of_their_own(tmp_path: Path) -> None:
+    layout = Layout.of((*CORE, "b_baro", "b_m", "g_n"))
+    block = RowBlock.empty(1, layout.size)
+    block.count = 1
+    block.t_us[0], block.u[:], block.x[:] = 20_000, 0.0, 0.0
+    block.x[0, 6] = 1.0
+    block.x[0, 20:26] = [1.5, 0.1, -0.2, 0.3, 0.01, -0.02]
+    block.P[0] = np.diag(np.r_[np.ones(15), 0.25, 0.01, 0.04, 0.09, 1e-4, 4e-4])
+    with ResultWriter(tmp_path, layout) as writer:
+        writer.write_rows(block, TangentFrame.at(Origin(0.8, 0.1, 0.0)))
+    header, row = csv.reader((tmp_path / "estimates.csv").read_text().splitlines())
+    values = dict(zip(header, map(float, row), strict=True))
+    assert (values["b_baro"], values["sd_b_baro"]) == (1.5, 0.5)
+    assert [values[f"b_m_{axis}"] for axis in "xyz"] == [0.1, -0.2, 0.3]
+    assert [values[f"sd_b_m_{axis}"] for axis in "xyz"] == [0.1, 0.2, 0.3]
+    assert [values[f"g_{axis}"] for axis in "ne"] == [0.01, -0.02]
+    assert [values[f"sd_g_{axis}"] for axis in "ne"] == [0.01, 0.02]

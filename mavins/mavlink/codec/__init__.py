@@ -6,17 +6,14 @@
 
     packet = frame(local_position_ned(solution), sysid=100, compid=1, seq=0)
 
-fields: wire layouts from pymavlink's dialect; framing: packets in bytes; messages, decode: bytes ->
-SI; encode, outputs: SI -> bytes.
+fields: wire layouts from pymavlink's dialect; framing: packets in bytes; messages, decode, tables: bytes
+-> SI; encode, outputs: SI -> bytes.
 """
 
 from mavins.mavlink.codec.decode import (
     FIRST_UNIX_US,
     decode,
-    decode_fields,
-    decode_imu,
     decode_truth,
-    payload_rows,
 )
 from mavins.mavlink.codec.encode import (
     ACCEL_AND_GYRO,
@@ -68,11 +65,11 @@ from mavins.mavlink.codec.outputs import (
     odometry,
     param_error,
     param_value,
-    pose_covariance,
+    pose_and_twist,
     statustext,
     sys_status,
-    twist_covariance,
 )
+from mavins.mavlink.codec.tables import decode_fields, decode_imu, payload_rows
 
 __all__ = [
     "ACCEL_AND_GYRO",
@@ -130,11 +127,10 @@ __all__ = [
     "param_value",
     "payload",
     "payload_rows",
-    "pose_covariance",
+    "pose_and_twist",
     "scan",
     "scan_tlog",
     "statustext",
     "sys_status",
     "system_time",
-    "twist_covariance",
 ]

@@ -14,12 +14,10 @@ from collections.abc import Callable
 from typing import Any, Final, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavins.mavlink.codec.fields import Fields, fields_of
-from mavins.mavlink.codec.framing import Frames, gather
+from mavins.mavlink.codec.framing import Frames
 from mavins.mavlink.codec.messages import (
-    IMU_KINDS,
     Attitude,
     GlobalPosition,
     GpsInput,
@@ -28,7 +26,6 @@ from mavins.mavlink.codec.messages import (
     HilGps,
     HilState,
     ImuMessage,
-    ImuRows,
     Invalid,
     Message,
     OriginRequest,
@@ -36,7 +33,6 @@ from mavins.mavlink.codec.messages import (
     SystemTime,
     Truth,
 )
-from mavins.types import FloatArray, IntArray
 
 Values: TypeAlias = tuple[Any, ...]
 
@@ -59,11 +55,10 @@ _U16: Final = 0xFFFF
 _U32: Final = 0xFFFFFFFF
 _DEG_E7: Final = math.radians(1e-7)
 _CDEG: Final = math.radians(1e-2)
-_ACCEL_AND_GYRO: Final = 0x3F
-_MAGNETOMETER: Final = 0x1C0
-_SCALED_KINDS: Final = ("SCALED_IMU", "SCALED_IMU2", "SCALED_IMU3")
-_SI: Final = (1.0, 1.0)
-_MILLI: Final = (STANDARD_GRAVITY * 1e-3, 1e-3)
+ACCEL_AND_GYRO: Final = 0x3F
+SCALED_KINDS: Final = ("SCALED_IMU", "SCALED_IMU2", "SCALED_IMU3")
+SI: Final = (1.0, 1.0)
+MILLI: Final = (STANDARD_GRAVITY * 1e-3, 1e-3)
 """Wire units of accelerometer and gyro: m/s^2 and rad/s, or mg and mrad/s."""
 
 _IGNORE_ALT: Final = 1
@@ -144,29 +139,32 @@ def _imu(
     kind: str, imu_id: int, stamp_us: int, v: Values, units: tuple[float, float]
 ) -> ImuMessage:
     _check(stamp_us < STAMP_LIMIT, "stamp out of range")
-    accel, gyro = np.array(v[1:4], np.float64), np.array(v[4:7], np.float64)
-    accel *= units[0]
-    gyro *= units[1]
+    to_accel, to_gyro = units
+    ax, ay, az = v[1] * to_accel, v[2] * to_accel, v[3] * to_accel
+    gx, gy, gz = v[4] * to_gyro, v[5] * to_gyro, v[6] * to_gyro
     # of finite readings the sum is finite; min and max alone do not see every NaN
-    x, y, z = accel.tolist()
-    in_range = math.isfinite(x + y + z) and max(x, y, z) <= MAX_ACCEL and min(x, y, z) >= -MAX_ACCEL
-    x, y, z = gyro.tolist()
-    in_range &= math.isfinite(x + y + z) and max(x, y, z) <= MAX_GYRO and min(x, y, z) >= -MAX_GYRO
+    in_range = (
+        math.isfinite(ax + ay + az + gx + gy + gz)
+        and max(ax, ay, az) <= MAX_ACCEL
+        and min(ax, ay, az) >= -MAX_ACCEL
+        and max(gx, gy, gz) <= MAX_GYRO
+        and min(gx, gy, gz) >= -MAX_GYRO
+    )
     _check(in_range, "reading out of range")
-    return ImuMessage(kind, imu_id, stamp_us, accel, gyro)
+    return ImuMessage(kind, imu_id, stamp_us, np.array((ax, ay, az)), np.array((gx, gy, gz)))
 
 
 def _highres_imu(v: Values) -> ImuMessage:
-    _check(v[14] & _ACCEL_AND_GYRO == _ACCEL_AND_GYRO, "no new accelerometer and gyro")
-    return _imu("HIGHRES_IMU", v[15], v[0], v, _SI)
+    _check(v[14] & ACCEL_AND_GYRO == ACCEL_AND_GYRO, "no new accelerometer and gyro")
+    return _imu("HIGHRES_IMU", v[15], v[0], v, SI)
 
 
 def _raw_imu(v: Values) -> ImuMessage:
-    return _imu("RAW_IMU", v[10], v[0], v, _MILLI)
+    return _imu("RAW_IMU", v[10], v[0], v, MILLI)
 
 
 def _scaled_imu(v: Values, imu_id: int) -> ImuMessage:
-    return _imu(_SCALED_KINDS[imu_id], imu_id, v[0] * 1000, v, _MILLI)
+    return _imu(SCALED_KINDS[imu_id], imu_id, v[0] * 1000, v, MILLI)
 
 
 def _gps_raw_int(v: Values) -> GpsRaw:
@@ -340,63 +338,3 @@ _DECODERS: Final = _table(
     SET_GPS_GLOBAL_ORIGIN=_set_gps_global_origin,
 )
 _TRUTH_DECODERS: Final = _table(HIL_STATE_QUATERNION=_hil_state_quaternion, SIM_STATE=_sim_state)
-
-
-def payload_rows(frames: Frames, indices: IntArray, fields: Fields) -> NDArray[np.void]:
-    """The payloads of packets `indices` (N,), all of one message, as a structured array (N,) in
-    wire units.
-    """
-    table = np.ascontiguousarray(frames.table[2:4, indices])
-    rows = gather(frames.data, table[0], table[1], fields.unpacker.size)
-    return rows.view(fields.dtype)[:, 0]
-
-
-def decode_imu(frames: Frames, indices: IntArray) -> ImuRows:
-    """The IMU samples of packets `indices` (N,), which are all IMU messages, at once."""
-    count = len(indices)
-    msgid = frames.msgid[indices]
-    stamp_us = np.zeros(count, np.int64)
-    accel_b, gyro_b = np.full((count, 3), np.nan), np.full((count, 3), np.nan)
-    imu_id = np.zeros(count, np.int64)
-    valid = np.zeros(count, np.bool_)
-    for kind_id in np.unique(msgid):
-        kind = IMU_KINDS[int(kind_id)]
-        at = np.flatnonzero(msgid == kind_id)
-        rows = payload_rows(frames, indices[at], fields_of(kind))
-        accel = np.column_stack([rows["xacc"], rows["yacc"], rows["zacc"]]).astype(np.float64)
-        gyro = np.column_stack([rows["xgyro"], rows["ygyro"], rows["zgyro"]]).astype(np.float64)
-        in_units = _SI if kind == "HIGHRES_IMU" else _MILLI
-        accel *= in_units[0]
-        gyro *= in_units[1]
-        # a NaN compares as out of range
-        usable = (abs(accel) <= MAX_ACCEL).all(axis=1) & (abs(gyro) <= MAX_GYRO).all(axis=1)
-        if kind == "HIGHRES_IMU":
-            usable &= rows["fields_updated"] & _ACCEL_AND_GYRO == _ACCEL_AND_GYRO
-        if kind in _SCALED_KINDS:
-            stamp_us[at] = rows["time_boot_ms"].astype(np.int64) * 1000
-            imu_id[at] = _SCALED_KINDS.index(kind)
-        else:
-            usable &= rows["time_usec"] < STAMP_LIMIT
-            stamp_us[at] = rows["time_usec"].astype(np.int64)
-            imu_id[at] = rows["id"]
-        accel_b[at[usable]] = accel[usable]
-        gyro_b[at[usable]] = gyro[usable]
-        valid[at] = usable
-    return ImuRows(stamp_us, accel_b, gyro_b, msgid, imu_id, valid)
-
-
-def decode_fields(frames: Frames, indices: IntArray) -> FloatArray:
-    """The magnetometer readings (N, 3) in packets `indices` (N,), IMU messages of one kind, in the kind's own unit.
-
-    A row is NaN where the packet has none: not updated in HIGHRES_IMU, or zero as from a vehicle without the sensor.
-    """
-    if not len(indices):
-        return np.empty((0, 3))
-    kind = IMU_KINDS[int(frames.msgid[indices[0]])]
-    rows = payload_rows(frames, indices, fields_of(kind))
-    readings = np.column_stack([rows["xmag"], rows["ymag"], rows["zmag"]]).astype(np.float64)
-    none = ~np.isfinite(readings).all(axis=1) | ~readings.any(axis=1)
-    if kind == "HIGHRES_IMU":
-        none |= rows["fields_updated"] & _MAGNETOMETER != _MAGNETOMETER
-    readings[none] = np.nan
-    return readings

@@ -51,8 +51,9 @@ class Fields:
     """The wire layout of one message.
 
     `names`, `codes` (struct characters) and `counts` (0 for a scalar) are in wire order, extensions
-    last; `unpacker` and `dtype` cover the full payload of `unpacker.size` bytes; `min_length` is
-    the payload without extensions, which is what a v1 packet carries at least.
+    last; `known` is the set of the names. `unpacker` and `dtype` cover the full payload of
+    `unpacker.size` bytes; `min_length` is the payload without extensions, which is what a v1 packet
+    carries at least.
     """
 
     msgid: int
@@ -65,11 +66,35 @@ class Fields:
     clamps: tuple[Callable[[float], float] | None, ...]
     unpacker: struct.Struct
     dtype: np.dtype[np.void]
+    known: frozenset[str]
 
     def pack(self, **values: Any) -> bytes:
         """The full payload of the named values in wire units; out of range is clamped, a field not
         named is zero.
         """
+        usual = self._pack_usual(values)
+        return self._pack_any(values) if usual is None else usual
+
+    def _pack_usual(self, values: dict[str, Any]) -> bytes | None:
+        """The payload of finite numbers of their wire types and in their ranges; None of anything
+        else.
+        """
+        if not values.keys() <= self.known:
+            return None
+        parts: list[Any] = []
+        for name in self.names:
+            value = values.get(name, 0)
+            if type(value) is list:
+                parts += value
+            else:
+                parts.append(value)
+        try:
+            # of finite numbers the sum is finite, or so large that clamping must see to it
+            return self.unpacker.pack(*parts) if math.isfinite(sum(parts)) else None
+        except (TypeError, OverflowError, struct.error):
+            return None
+
+    def _pack_any(self, values: dict[str, Any]) -> bytes:
         parts: list[Any] = []
         for name, count, clamp in zip(self.names, self.counts, self.clamps, strict=True):
             value = values.pop(name, 0)
@@ -180,6 +205,7 @@ def fields_of(name: str) -> Fields:
         ),
         unpacker=message.unpacker,
         dtype=np.dtype(columns),
+        known=frozenset(message.ordered_fieldnames),
     )
 
 

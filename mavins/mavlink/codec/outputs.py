@@ -24,14 +24,13 @@ from mavins.mavlink.codec.encode import (
     payload,
 )
 from mavins.mavlink.codec.fields import fields_of
-from mavins.nav.so3 import euler_jacobian, quat_to_dcm, quat_to_euler, skew
+from mavins.nav.odometry import write_pose_and_twist
 from mavins.types import FloatArray, ImuSample, NavSolution, Origin
 
 TEXT_CHUNK: Final = 50
 """Bytes of text in one STATUSTEXT."""
 UNKNOWN_VOLTAGE: Final = 0xFFFF
 
-_P, _V, _THETA, _B_G = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
 _UPPER_6: Final = np.triu_indices(6)
 
 _LOCAL_POSITION_NED: Final = fields_of("LOCAL_POSITION_NED")
@@ -98,29 +97,11 @@ def highres_imu_from(solution: NavSolution) -> Payload:
     return highres_imu(ImuSample(solution.t_us, solution.f_b, solution.w_b))
 
 
-def pose_covariance(solution: NavSolution) -> FloatArray:
-    """(6, 6) covariance of x, y, z in n (m) and of roll, pitch, yaw of q_nb (rad): J P J^T, J =
-    diag(I, E).
-    """
-    roll, pitch, _ = quat_to_euler(solution.q_nb)
-    jacobian = np.zeros((6, solution.P.shape[0]))
-    jacobian[0:3, _P] = np.eye(3)
-    jacobian[3:6, _THETA] = euler_jacobian(roll, pitch)
-    return np.asarray(jacobian @ solution.P @ jacobian.T)
-
-
-def twist_covariance(solution: NavSolution) -> FloatArray:
-    """(6, 6) covariance of the velocity in b (m/s) and of the bias-corrected rates (rad/s).
-
-    With v_b = C_bn v_n and the local error C = C^ [I + [theta]x]: d v_b = C_bn d v_n + [v_b]x
-    theta. The rates have their bias's error; the gyro's white noise is not part of the state.
-    """
-    c_bn = quat_to_dcm(solution.q_nb).T
-    jacobian = np.zeros((6, solution.P.shape[0]))
-    jacobian[0:3, _V] = c_bn
-    jacobian[0:3, _THETA] = skew(c_bn @ solution.v_n)
-    jacobian[3:6, _B_G] = -np.eye(3)
-    return np.asarray(jacobian @ solution.P @ jacobian.T)
+def pose_and_twist(solution: NavSolution) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(v_b (3,), pose covariance (6, 6), twist covariance (6, 6)) as ODOMETRY has them."""
+    v_b, covariances = np.empty(3), np.empty((2, 6, 6))
+    write_pose_and_twist(solution.q_nb, solution.v_n, solution.P, v_b, covariances)
+    return v_b, covariances[0], covariances[1]
 
 
 def odometry(
@@ -132,7 +113,8 @@ def odometry(
     of both covariances, row by row. `quality` is -1 failed, 0 unknown, 1..100 percent.
     """
     x, y, z = solution.p_n.tolist()
-    vx, vy, vz = (quat_to_dcm(solution.q_nb).T @ solution.v_n).tolist()
+    v_b, pose, twist = pose_and_twist(solution)
+    vx, vy, vz = v_b.tolist()
     rollspeed, pitchspeed, yawspeed = solution.w_b.tolist()
     return payload(
         _ODOMETRY,
@@ -149,8 +131,8 @@ def odometry(
         rollspeed=rollspeed,
         pitchspeed=pitchspeed,
         yawspeed=yawspeed,
-        pose_covariance=pose_covariance(solution)[_UPPER_6].tolist(),
-        velocity_covariance=twist_covariance(solution)[_UPPER_6].tolist(),
+        pose_covariance=pose[_UPPER_6].tolist(),
+        velocity_covariance=twist[_UPPER_6].tolist(),
         reset_counter=solution.reset_counter % 256,
         estimator_type=estimator_type,
         quality=quality,

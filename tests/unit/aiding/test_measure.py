@@ -21,6 +21,7 @@ from mavins.aiding import (
     zero_velocity,
 )
 from mavins.nav.earth import TangentFrame, gravity_n
+from mavins.nav.layout import BLOCKS, X_SIZE, Layout, boxplus
 from mavins.nav.so3 import dcm_to_quat, euler_to_quat, quat_mul, quat_to_dcm
 from mavins.types import GnssFix, HeadingFix, Origin
 
@@ -33,7 +34,7 @@ def fix(v_l: tuple[float, float, float] | None) -> GnssFix:
 
 
 def state(yaw: float = 0.0) -> np.ndarray:
-    x = np.zeros(20)
+    x = np.zeros(X_SIZE)
     x[6:10] = euler_to_quat(0.0, 0.0, yaw)
     return x
 
@@ -195,3 +196,27 @@ def test_wheels_swing_the_imu_that_is_not_on_the_axle() -> None:
     x[3:6] = quat_to_dcm(x[6:10]) @ [8.0, 1.0, 0.0]
     r, _ = m.model(x, u, m.z, m.parameters)
     assert_allclose(r, 0.0, atol=1e-12)
+
+
+def test_the_direction_of_a_field_tells_of_hard_iron_without_its_strength() -> None:
+    m_n = np.array([0.48, 0.0, math.sqrt(1.0 - 0.48**2)])
+    x = state()
+    x[6:10] = euler_to_quat(0.2, -0.1, 2.0)
+    x[21:24] = [0.3, -0.2, 0.1]
+    w = quat_to_dcm(x[6:10]).T @ m_n + x[21:24]
+    z = w / np.linalg.norm(w)
+    m = magnetometer.measure("mag", 7, 5, z, m_n, 0.05, 4.0, directions=True)
+    r, _ = m.model(x, U, m.z, m.parameters)
+    assert_allclose(r, 0.0, atol=1e-15)
+    rng = np.random.default_rng(2)
+    m = m._replace(z=z + 0.01 * rng.normal(size=3))
+    _, H = m.model(x, U, m.z, m.parameters)
+    columns, h = Layout.of(BLOCKS).columns, 1e-6
+    for i in range(H.shape[1]):
+        ends = []
+        for sign in (1.0, -1.0):
+            y, d = x.copy(), np.zeros(H.shape[1])
+            d[i] = sign * h
+            boxplus(y, d, columns)
+            ends.append(m.model(y, U, m.z, m.parameters)[0])
+        assert_allclose(H[:, i], (ends[1] - ends[0]) / (2 * h), atol=1e-8)

@@ -159,3 +159,22 @@ def test_the_picture_is_svg_that_needs_nothing_from_elsewhere() -> None:
     assert svg.startswith("<svg")
     assert "RUNNING" in svg
     assert "url(" not in svg.replace("url(#", "")
+
+
+def test_biases_and_gravity_are_shown_where_they_are_estimated() -> None:
+    estimate = dataclasses.replace(
+        ESTIMATE,
+        baro_bias=1.25,
+        sd_baro_bias=0.5,
+        mag_bias=(0.1, -0.2, 0.05),
+        sd_mag_bias=(0.01, 0.02, 0.03),
+        gravity=(math.radians(0.6), math.radians(-0.8)),
+        sd_gravity=(math.radians(0.1), math.radians(0.2)),
+    )
+    vehicle = dataclasses.replace(VEHICLE, estimate=estimate)
+    snapshot = dataclasses.replace(SNAPSHOT, vehicles=(vehicle,))
+    line = to_plain(snapshot)
+    assert "baro bias 1.25 m (±0.50)" in line
+    assert "mag bias 0.100 -0.200 0.050 (±0.010/0.020/0.030)" in line
+    assert "gravity 0.60 -0.80 deg (±0.10/0.20)" in line
+    assert from_json(to_json(snapshot)) == snapshot

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -9,7 +10,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 from mavins.estimator.alignment import Start, initial_state, level
-from mavins.nav.layout import CORE, Layout, boxminus
+from mavins.estimator.compass import levelled
+from mavins.nav.layout import CORE, X_SIZE, Layout, boxminus
+from mavins.nav.s2 import tilted
 from mavins.nav.so3 import euler_to_quat, quat_to_dcm, quat_to_euler
 from mavins.types import FloatArray
 
@@ -80,7 +83,7 @@ def test_initial_covariance_is_that_of_the_errors(euler: FloatArray) -> None:
     runs = 4000
     q = euler_to_quat(*euler)
     f_b = quat_to_dcm(q).T @ GRAVITY
-    truth = np.zeros(20)
+    truth = np.zeros(X_SIZE)
     truth[6:10] = q
     columns = Layout.of().columns
     errors = np.empty((runs, 15))
@@ -118,9 +121,44 @@ def test_further_states_start_where_they_are_told() -> None:
     core, P = initial_state(s, Layout.of())
     x, wide = initial_state(s, Layout.of((*CORE, "l_b", "tau")))
     assert_allclose(x, core)
-    assert_allclose(x[16:], [0.2, 0.0, -0.1, 0.12])
+    assert_allclose(x[16:20], [0.2, 0.0, -0.1, 0.12])
+    assert not x[20:].any()
     assert_allclose(np.sqrt(np.diag(wide)[15:]), [0.3, 0.3, 0.3, 0.05])
     # the antenna is as well known as before, wherever the IMU is beside it
     H = np.hstack([np.eye(3), quat_to_dcm(x[6:10])])
     at = np.r_[0:3, 15:18]
     assert_allclose(H @ wide[np.ix_(at, at)] @ H.T, P[:3, :3], atol=1e-12)
+
+
+def test_an_attitude_levelled_along_gravity_is_off_by_its_tilt() -> None:
+    euler, d = np.array([0.3, -0.4, 2.0]), np.array([3e-4, -5e-4])
+    leaning = np.array(tilted((d[0], d[1]), (0.0, 0.0, -9.81)))
+    layout = Layout.of((*CORE, "g_n"))
+    C_t = quat_to_dcm(euler_to_quat(*euler))
+    s = dataclasses.replace(start(euler, C_t.T @ leaning, euler[2]), sigma_gravity=0.01)
+    x, P = initial_state(s, layout)
+    truth = np.zeros(X_SIZE)
+    truth[6:10] = euler_to_quat(*euler)
+    theta = boxminus(truth, x, layout.columns)[6:9]
+    assert_allclose(P[6:9, 15:] @ d / 0.01**2, theta, atol=1e-6)
+    _, without = initial_state(s, Layout.of())
+    assert_allclose(
+        P[6:9, 6:9] - without[6:9, 6:9], P[6:9, 15:] @ P[15:, 6:9] / 0.01**2, atol=1e-15
+    )
+
+
+def test_a_yaw_found_from_the_field_is_off_by_its_bias() -> None:
+    euler, b_m = np.array([0.1, 0.2, 0.5]), np.array([2e-4, -3e-4, 1e-4])
+    C = quat_to_dcm(euler_to_quat(*euler))
+    m = np.array([0.5, 0.1, 0.8])
+    f_b = C.T @ GRAVITY
+    yaw, _ = levelled(C.T @ m + b_m, f_b, GRAVITY, m)
+    by_mag = np.array([m[1], -m[0], 0.0]) / (m[0] ** 2 + m[1] ** 2)
+    layout = Layout.of((*CORE, "b_m"))
+    s = dataclasses.replace(start(euler, f_b, yaw), sigma_mag=0.05, yaw_by_mag=by_mag)
+    x, P = initial_state(s, layout)
+    truth = np.zeros(X_SIZE)
+    truth[6:10] = euler_to_quat(*euler)
+    theta = boxminus(truth, x, layout.columns)[6:9]
+    assert np.linalg.norm(theta) > 3e-4
+    assert_allclose(P[6:9, 15:] @ b_m / 0.05**2, theta, atol=2e-6)

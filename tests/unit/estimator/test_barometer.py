@@ -65,3 +65,21 @@ def test_no_more_than_the_highest_rate() -> None:
         t for t in range(0, 1_000_000, 20_000) if barometer.altitude(BaroSample(t, 5.0)) is not None
     ]
     assert taken == [0, 200_000, 400_000, 600_000, 800_000]
+
+
+def test_with_its_bias_in_the_filter_only_the_first_difference_and_jumps_are_taken_away() -> None:
+    settings = BaroSettings(sigma=1.0, drift=0.2, max_rate=10.0)
+    barometer, beside = Barometer(settings, bias_in_filter=True), Barometer(settings)
+    for k in range(60):
+        # it wanders by 4 m, and then its level falls by 100 m
+        alt = 5.0 + 4.0 * min(k, 40) / 40 - 100.0 * (k > 50)
+        for one in (barometer, beside):
+            one.altitude(BaroSample(k * STEP_US, alt))
+            one.see_fix(k * STEP_US, 247.0, 2.0)
+        if k == 45:
+            level = barometer.altitude(BaroSample(k * STEP_US + 500_000, alt))
+            assert level == (251.0, 1.0)
+            assert beside.offset == pytest.approx(-238.0, abs=1.0)
+    level = barometer.altitude(BaroSample(61 * STEP_US, -91.0))
+    assert level is not None
+    assert level[0] == pytest.approx(251.0, abs=0.5)

@@ -262,3 +262,19 @@ def test_habits_are_used_where_they_are_switched_on() -> None:
         statistics = v.estimator.statistics[name]
         assert statistics.accepted > 5
         assert not statistics.rejected
+
+
+@pytest.mark.parametrize("detector", ["start", "shoe", "ared", "amvd", "mag", "gnss_speed"])
+def test_standing_after_a_motion_is_found_by_every_detector_but_start(detector: str) -> None:
+    noises = {"sigma_accel": 0.05, "sigma_gyro": 0.005, "threshold": 15.0}
+    v = Vehicle(Settings(zero_velocity=ZeroVelocitySettings(detector=detector, **noises)))
+    v.go(6.0)
+    v.gyro_bias = np.array([0.0, 0.0, 0.1])  # it turns a little
+    v.go(1.0, v_l=(1.0, 0.0, 0.0))
+    v.gyro_bias = np.zeros(3)
+    v.go(1.0)
+    before = v.estimator.statistics["zero_velocity"].accepted
+    v.go(3.0)
+    after = v.estimator.statistics["zero_velocity"].accepted
+    assert after - before == 0 if detector == "start" else after - before > 30
+    assert v.estimator.running

@@ -12,6 +12,7 @@ from mavins.aiding import Measurement, gnss_position, gnss_velocity, heading, ze
 from mavins.estimator.fusion import Event, Fusion, Track
 from mavins.filters import FilterState, ImuNoise, make
 from mavins.nav.earth import TangentFrame
+from mavins.nav.layout import X_SIZE
 from mavins.types import GnssFix, HeadingFix, Origin
 
 FRAME = TangentFrame.at(Origin(0.8, 0.15, 500.0))
@@ -35,7 +36,7 @@ def velocity(t_us: int, v_l: tuple[float, float, float]) -> Measurement:
 
 
 def state() -> FilterState:
-    x = np.zeros(20)
+    x = np.zeros(X_SIZE)
     x[6] = 1.0
     P = np.diag(np.repeat([0.3, 0.1, 0.02, 0.01, 0.1], 3) ** 2)
     P[0, 3] = P[3, 0] = 0.01

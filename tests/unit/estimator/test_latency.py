@@ -15,6 +15,7 @@ from mavins.estimator.settings import StatesSettings
 from mavins.examples.scenarios import flight, matched
 from mavins.filters import RowBlock
 from mavins.nav.earth import TangentFrame
+from mavins.nav.layout import X_SIZE
 from mavins.nav.so3 import euler_to_quat, quat_exp, quat_mul, quat_to_dcm
 from sitl.scenario import load
 
@@ -23,7 +24,7 @@ G = np.array([0.0, 0.0, 9.81])
 
 def test_the_variance_is_that_of_the_acceleration() -> None:
     rng = np.random.default_rng(3)
-    x = np.zeros(20)
+    x = np.zeros(X_SIZE)
     x[6:10] = euler_to_quat(0.2, -0.4, 1.0)
     root = rng.normal(size=(15, 15)) * np.repeat([1, 1, 0.01, 1, 0.1], 3)[:, None]
     P = root @ root.T

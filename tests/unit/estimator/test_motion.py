@@ -11,15 +11,17 @@ import numpy as np
 import pytest
 
 from mavins.config import load as load_config
+from mavins.estimator.buffer import ImuBuffer
 from mavins.estimator.estimator import Estimator, Outputs
 from mavins.estimator.fusion import Event
+from mavins.estimator.motion import MotionHeading
 from mavins.estimator.settings import Settings
 from mavins.evaluation.compare import Truth
 from mavins.evaluation.errors import interpolate_truth
 from mavins.evaluation.tape import Tape
 from mavins.examples.scenarios import flight
 from mavins.nav.so3 import quat_to_euler
-from mavins.types import Health, ImuTable
+from mavins.types import GnssFix, Health, ImuTable
 from sitl.scenario import load
 
 pytestmark = [pytest.mark.slow, pytest.mark.jit]
@@ -124,3 +126,29 @@ def test_a_right_heading_is_left_alone() -> None:
     errors, estimator, _ = play(offset=0.0)
     assert estimator.reset_counter == 0
     assert max(abs(e) for _, e, _ in errors) < math.radians(6.0)
+
+
+def test_running_behind_makes_no_difference() -> None:
+    """Velocities that wait for their IMU rows to grow old leave what those leave that are fused at once."""
+    t_us = np.arange(0, 12_000_000, 10_000)
+    push = 2.0 * np.sin(t_us * 1e-6)
+    imu = np.column_stack([0.05 * push, *np.zeros((2, len(push))), push, 0 * push, 0 * push - 9.81])
+    seen = []
+    for asked in (True, False):
+        motion, buffer, done = MotionHeading(Settings()), ImuBuffer(), 0
+        behind = 0
+        for now_us in range(200_000, 12_000_000, 200_000):
+            end = int(np.searchsorted(t_us, now_us, "right"))
+            buffer.append(t_us[done:end], imu[done:end])
+            done = end
+            v = 2.0 - 2.0 * math.cos(now_us * 1e-6)
+            motion.see_fix(GnssFix(now_us, 0.8, 0.1, 0.0, (v, 0.0, 0.0), 3), now_us - 3_000, 0.1)
+            motion.step(buffer, now_us, asked)
+            behind += motion.at(buffer, now_us - 150_000) is not None
+        motion.step(buffer, now_us, True)
+        found = motion.at(buffer, now_us)
+        assert found is not None
+        seen.append((behind, found))
+    assert seen[0][0] < seen[1][0]
+    for at_once, waited in zip(seen[0][1], seen[1][1], strict=True):
+        np.testing.assert_array_equal(at_once, waited)

@@ -75,20 +75,20 @@ def test_a_drift_of_the_readings_is_not_overlooked() -> None:
 def test_speed_from_gnss_ends_it() -> None:
     w = Watch()
     w.see(2.0)
-    w.detector.see_speed(0.3)
+    w.detector.see_speed(0.3, 0)
     assert w.detector.standing
-    w.detector.see_speed(2.0)
+    w.detector.see_speed(2.0, 0)
     assert w.detector.moved
-    w.detector.see_speed(0.0)
+    w.detector.see_speed(0.0, 0)
     assert not w.detector.standing
 
 
 def test_a_moving_vehicle_that_was_never_quiet_has_not_moved_yet() -> None:
     """Speeds before the first quiet second may be the receiver's own start."""
     w = Watch()
-    w.detector.see_speed(2.0)
+    w.detector.see_speed(2.0, 0)
     w.see(2.0)
-    w.detector.see_speed(0.1)
+    w.detector.see_speed(0.1, 0)
     assert w.detector.standing
 
 

@@ -14,6 +14,7 @@ from mavins.examples.lever_and_delay import OFFSETS, VELOCITY, System, navigate,
 from mavins.examples.psins_data import DELAY, LEVER_B, POSITION_NOISE, START_SIGMA
 from mavins.examples.psins_flight import Way, fly, noisy
 from mavins.nav.earth import TangentFrame, dcm_ne, lla_to_ecef
+from mavins.nav.layout import X_SIZE
 from mavins.nav.so3 import euler_to_quat, quat_to_dcm
 from mavins.types import Origin
 
@@ -66,7 +67,7 @@ def test_what_the_sensors_feel_leads_along_the_way(way: Way) -> None:
         np.empty((count, 6)),
         np.empty((count, 22, 22)),
     )
-    e = errors(true_states(flight, frame, np.arange(count, dtype=np.int64)), rows[:, :20])
+    e = errors(true_states(flight, frame, np.arange(count, dtype=np.int64)), rows[:, :X_SIZE])
     assert np.abs(e[:, :3]).max() < 0.01
     assert np.abs(e[:, 3:6]).max() < 1e-3
     assert np.abs(e[:, 6:9]).max() < 1e-6

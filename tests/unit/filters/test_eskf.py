@@ -15,7 +15,7 @@ from mavins.filters import FilterSettings, FilterState, ImuNoise, RowBlock, make
 from mavins.filters.eskf import Eskf
 from mavins.filters.walking import GAP_NOISE
 from mavins.nav.earth import TangentFrame, gravity_n
-from mavins.nav.layout import BLOCKS, Layout
+from mavins.nav.layout import BLOCKS, CANONICAL_SIZE, X_SIZE, Layout
 from mavins.types import FloatArray, Origin
 
 FRAME = TangentFrame.at(Origin(math.radians(47.4), math.radians(8.5), 488.0))
@@ -24,7 +24,7 @@ PRIOR = np.repeat([1.0, 0.3, 0.05, 0.01, 0.2], 3) ** 2
 
 
 def standing() -> FilterState:
-    x = np.zeros(20)
+    x = np.zeros(X_SIZE)
     x[6] = 1.0
     u = np.concatenate([FRAME.w_ie_n, -gravity_n(np.zeros(3), FRAME.r0_e, FRAME.C_ne)])
     return FilterState(x, np.diag(PRIOR), u, 0)
@@ -184,7 +184,7 @@ def test_a_correction_goes_into_the_state_and_the_error_is_zero_again() -> None:
 def test_a_filter_of_more_states_leaves_the_common_ones_alike() -> None:
     few, many = filter_of(NOISE), filter_of(NOISE, Layout.of(BLOCKS))
     a, b = standing(), standing()
-    b.P = np.eye(19) * 1e-18
+    b.P = np.eye(CANONICAL_SIZE) * 1e-18
     b.P[:15, :15] = a.P
     t = [4_000 * k for k in range(1, 51)]
     imu = a.u + np.random.default_rng(1).normal(size=(50, 6)) * 0.1

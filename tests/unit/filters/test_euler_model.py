@@ -12,6 +12,7 @@ from numpy.testing import assert_allclose
 from mavins.filters import euler_model as model
 from mavins.filters.van_loan import AFTER, BEFORE, E_INV, STACK, A, B, C, E
 from mavins.nav.ins import Vector
+from mavins.nav.layout import X_SIZE
 from mavins.nav.so3 import euler_jacobian, euler_to_quat, quat_exp, quat_mul, quat_to_dcm
 from mavins.types import FloatArray
 
@@ -122,7 +123,7 @@ def test_fourth_order() -> None:
 def test_velocity_and_position_by_simpson() -> None:
     """An acceleration quadratic in time gives the velocity of its integral; one linear in time the position's, too."""
     dt = 2.0
-    x = np.zeros(20)
+    x = np.zeros(X_SIZE)
     x[3:6] = [1.0, 2.0, 3.0]
 
     def at(t: float) -> Vector:

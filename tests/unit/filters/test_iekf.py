@@ -18,7 +18,7 @@ from mavins.filters.iterated import BLOCKS, turn_rows
 from mavins.filters.settings import IteratedSettings
 from mavins.nav import ins
 from mavins.nav.earth import TangentFrame, gravity_n, write_gravity_gradient
-from mavins.nav.layout import Layout, boxminus, boxplus
+from mavins.nav.layout import X_SIZE, Layout, boxminus, boxplus
 from mavins.nav.so3 import (
     euler_to_quat,
     quat_log,
@@ -40,7 +40,8 @@ SEEDS = range(4)
 
 def random_state(seed: int) -> FloatArray:
     rng = np.random.default_rng(seed)
-    x = rng.normal(size=20) * np.repeat([500.0, 10.0, 0.0, 0.02, 0.2, 0.0], [3, 3, 4, 3, 3, 4])
+    x = np.zeros(X_SIZE)
+    x[:16] = rng.normal(size=16) * np.repeat([500.0, 10.0, 0.0, 0.02, 0.2], [3, 3, 4, 3, 3])
     x[6:10] = euler_to_quat(rng.uniform(-3, 3), rng.uniform(-1.2, 1.2), rng.uniform(-3, 3))
     return x
 
@@ -303,7 +304,7 @@ def test_error_is_linear_however_large_and_wherever_the_flight_goes() -> None:
 
 
 def rotation(phi: FloatArray) -> FloatArray:
-    x = np.zeros(20)
+    x = np.zeros(X_SIZE)
     x[6] = 1.0
     d = np.zeros(15)
     d[6:9] = phi
@@ -359,7 +360,7 @@ def heading_errors(
     begin = int(truth.t_us[np.argmax(push > 1.0)])
     i = int(np.searchsorted(truth.t_us, begin - 8_000_000))
     k = int(np.searchsorted(m.imu.t_us, truth.t_us[i]))
-    x = np.zeros(20)
+    x = np.zeros(X_SIZE)
     x[:3], x[3:6] = truth.p_n[i], truth.v_n[i]
     x[6:10] = quat_mul(euler_to_quat(0.0, 0.0, math.radians(wrong_deg)), truth.q_nb[i])
     sigma = np.repeat([0.5, 0.1, 0.01, 0.005, 0.05], 3)
@@ -405,3 +406,23 @@ def test_made_by_name() -> None:
     algorithm = make("iekf", NOISE)
     assert isinstance(algorithm, Iekf)
     assert isinstance(algorithm, Eskf)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_derivative_of_a_step_with_gravity(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    columns = Layout.of((*Layout.of().blocks, "g_n")).columns
+    x, d = random_state(seed), 0.3 * rng.normal(size=17)
+    x[24:26] = 0.2 * rng.normal(size=2)
+    y, blocks, G = x.copy(), np.empty((BLOCKS + 1, 3, 3)), np.eye(17)
+    group_step(y, d, columns, blocks)
+    turn_rows(G, blocks)
+    h = 1e-6
+    for i in range(17):
+        ends = []
+        for sign in (1.0, -1.0):
+            e, z = d.copy(), x.copy()
+            e[i] += sign * h
+            group_step(z, e, columns, np.empty((BLOCKS + 1, 3, 3)))
+            ends.append(boxminus(z, y, columns))
+        assert_allclose((ends[0] - ends[1]) / (2 * h), G[:, i], atol=1e-6)

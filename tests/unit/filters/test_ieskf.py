@@ -17,7 +17,7 @@ from mavins.filters.ieskf import Ieskf, manifold_step
 from mavins.filters.iterated import BLOCKS, compressed, turn_rows
 from mavins.filters.settings import IteratedSettings
 from mavins.nav.earth import TangentFrame
-from mavins.nav.layout import Layout, boxminus, boxplus
+from mavins.nav.layout import CANONICAL_SIZE, X_SIZE, Layout, boxminus, boxplus
 from mavins.nav.so3 import euler_to_quat, quat_to_dcm, quat_to_euler, wrap_pi
 from mavins.types import FloatArray, Origin
 
@@ -45,7 +45,7 @@ class Planes:
     def linearize(self, x: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
         C = quat_to_dcm(x[6:10])
         r = self.offsets - np.einsum("ij,ij->i", self.normals, self.points @ C.T + x[:3])
-        H = np.zeros((len(r), 19))
+        H = np.zeros((len(r), CANONICAL_SIZE))
         H[:, :3] = self.normals
         H[:, 6:9] = np.cross(self.points, self.normals @ C)
         return r, H
@@ -67,7 +67,8 @@ def iterated(iterations: int = 4, threshold: float = 0.01) -> Ieskf:
 
 def random_state(seed: int) -> FloatArray:
     rng = np.random.default_rng(seed)
-    x = rng.normal(size=20) * np.repeat([50.0, 3.0, 0.0, 0.02, 0.2, 0.0], [3, 3, 4, 3, 3, 4])
+    x = np.zeros(X_SIZE)
+    x[:16] = rng.normal(size=16) * np.repeat([50.0, 3.0, 0.0, 0.02, 0.2], [3, 3, 4, 3, 3])
     x[6:10] = euler_to_quat(rng.uniform(-0.5, 0.5), rng.uniform(-0.5, 0.5), rng.uniform(-3, 3))
     return x
 
@@ -264,3 +265,23 @@ def test_made_by_name() -> None:
     algorithm = make("ieskf", NOISE)
     assert isinstance(algorithm, Ieskf)
     assert isinstance(algorithm, Eskf)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_derivative_of_a_step_with_gravity(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    columns = Layout.of((*Layout.of().blocks, "g_n")).columns
+    x, d = random_state(seed), 0.3 * rng.normal(size=17)
+    x[24:26] = 0.2 * rng.normal(size=2)
+    y, blocks, G = x.copy(), np.empty((BLOCKS + 1, 3, 3)), np.eye(17)
+    manifold_step(y, d, columns, blocks)
+    turn_rows(G, blocks)
+    h = 1e-6
+    for i in range(17):
+        ends = []
+        for sign in (1.0, -1.0):
+            e, z = d.copy(), x.copy()
+            e[i] += sign * h
+            manifold_step(z, e, columns, np.empty((BLOCKS + 1, 3, 3)))
+            ends.append(boxminus(z, y, columns))
+        assert_allclose((ends[0] - ends[1]) / (2 * h), G[:, i], atol=1e-6)

@@ -18,7 +18,7 @@ from mavins.filters.rts import (
 )
 from mavins.filters.settings import FilterSettings
 from mavins.nav.earth import TangentFrame
-from mavins.nav.layout import CORE, Layout, boxminus, boxplus
+from mavins.nav.layout import CORE, X_SIZE, Layout, boxminus, boxplus
 from mavins.types import FloatArray, IntArray, Origin
 
 LAYOUT = Layout.of((*CORE, "tau"))
@@ -27,7 +27,7 @@ FRAME = TangentFrame.at(Origin(math.radians(47.0), math.radians(8.0), 400.0))
 
 
 def level() -> FloatArray:
-    x = np.zeros(20)
+    x = np.zeros(X_SIZE)
     x[6] = 1.0
     return x
 

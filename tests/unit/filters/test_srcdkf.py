@@ -14,7 +14,7 @@ from mavins.filters import Filter, FilterSettings, FilterState, ImuNoise, RowBlo
 from mavins.filters.settings import SrcdkfSettings
 from mavins.nav.earth import TangentFrame, gravity_n
 from mavins.nav.ins import increments_from_rates, mechanize
-from mavins.nav.layout import BLOCKS, Layout, boxminus, boxplus
+from mavins.nav.layout import BLOCKS, X_SIZE, Layout, boxminus, boxplus
 from mavins.nav.so3 import euler_to_quat
 from mavins.types import FloatArray, Origin
 
@@ -33,7 +33,7 @@ def layout_of(n: int) -> Layout:
 
 def state_of(n: int, scale: float = 1.0, seed: int = 5) -> FilterState:
     rng = np.random.default_rng(seed)
-    x = np.zeros(20)
+    x = np.zeros(X_SIZE)
     x[:6] = rng.normal(size=6) * 10.0
     x[6:10] = euler_to_quat(0.3, -0.2, 2.0)
     x[10:16] = rng.normal(size=6) * 0.01
@@ -85,7 +85,7 @@ def test_the_structural_form_is_the_full_one(n: int) -> None:
 
 @pytest.mark.parametrize("n", LAYOUTS)
 def test_small_covariances_go_as_in_the_error_state_filter(n: int) -> None:
-    noise = ImuNoise(*(1e-4 * NOISE.as_array()).tolist())
+    noise = ImuNoise(*(1e-4 * NOISE.as_array(Layout.of())).tolist())
     t = [4000 * k for k in range(1, 51)]
     imu = state_of(n).u + np.random.default_rng(1).normal(size=(50, 6)) * 0.5
     a = flown(filter_of(n, noise), state_of(n, 1e-4), t, imu)
@@ -166,7 +166,7 @@ def test_a_walk_does_not_depend_on_its_slices() -> None:
 def test_the_root_after_many_steps_and_updates(noise: ImuNoise) -> None:
     rng = np.random.default_rng(8)
     algorithm = filter_of(noise=noise)
-    x = np.zeros(20)
+    x = np.zeros(X_SIZE)
     x[6] = 1.0
     quiet = np.concatenate([FRAME.w_ie_n, -gravity_n(np.zeros(3), FRAME.r0_e, FRAME.C_ne)])
     state = FilterState(x, np.diag(SIGMA[:15] ** 2), quiet.copy(), 0)

@@ -44,6 +44,12 @@ def make_solution(t_us: int, health: Health = Health.RUNNING, resets: int = 0) -
         sd_l_b=np.zeros(3),
         tau=0.0,
         sd_tau=0.0,
+        b_baro=0.0,
+        sd_b_baro=0.0,
+        b_m=np.zeros(3),
+        sd_b_m=np.zeros(3),
+        g_n=np.zeros(2),
+        sd_g_n=np.zeros(2),
         health=health,
         reset_counter=resets,
     )

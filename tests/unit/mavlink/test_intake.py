@@ -28,8 +28,9 @@ from mavins.mavlink.codec import (
     scan_tlog,
     system_time,
 )
+from mavins.mavlink.fixes import PAIR_US
 from mavins.mavlink.imu_source import CHOICE_US
-from mavins.mavlink.intake import HEARTBEAT_WAIT_US, PAIR_US, Intake
+from mavins.mavlink.intake import HEARTBEAT_WAIT_US, Intake
 from mavins.mavlink.sources import SourceSettings
 from mavins.types import GnssFix, HeadingFix, ImuSample, ImuTable, MagSample
 

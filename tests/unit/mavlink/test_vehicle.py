@@ -156,10 +156,10 @@ def test_heartbeats_without_an_imu_are_not_enough(watched: Watched) -> None:
 
 def test_each_fix_is_passed_on_once_while_there_is_an_estimate(watched: Watched) -> None:
     fix = GnssFix(1, 0.8, 0.1, 400.0, None, 3, 9)
-    watched.vehicle.intake.last_fix = fix
+    watched.vehicle.intake.fixes.last = fix
     assert of("GPS_RAW_INT", watched.imu(1_000_000)) == []
     watched.estimator.start(1_004_000)
-    watched.vehicle.intake.last_fix = GnssFix(2, 0.8, 0.1, 400.0, None, 3, 9)
+    watched.vehicle.intake.fixes.last = GnssFix(2, 0.8, 0.1, 400.0, None, 3, 9)
     assert len(of("GPS_RAW_INT", watched.imu(1_004_000))) == 1
     assert of("GPS_RAW_INT", watched.imu(1_008_000)) == []
 

@@ -19,7 +19,7 @@ from mavins.nav.deviations import (
 )
 from mavins.nav.earth import TangentFrame, gravity_n, replace_by_gravity
 from mavins.nav.ins import increments_from_rates, mechanize
-from mavins.nav.layout import Layout, boxminus, boxplus
+from mavins.nav.layout import X_SIZE, Layout, boxminus, boxplus
 from mavins.nav.so3 import euler_to_quat
 from mavins.types import FloatArray, Origin
 
@@ -72,7 +72,7 @@ def parts(x: FloatArray, readings: FloatArray, e: FloatArray) -> tuple[FloatArra
 @pytest.mark.parametrize("without", [None, slice(9, 12), slice(6, 15)])
 def test_deviations_are_the_mechanization_s(seed: int, without: slice | None) -> None:
     rng = np.random.default_rng(seed)
-    x = np.zeros(20)
+    x = np.zeros(X_SIZE)
     x[:6] = rng.normal(size=6) * 30.0
     x[6:10] = euler_to_quat(*rng.uniform(-1.4, 1.4, 3))
     x[10:16] = rng.normal(size=6) * 0.1

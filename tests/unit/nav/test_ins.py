@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 
 from mavins.nav import ins
 from mavins.nav.earth import TangentFrame
-from mavins.nav.layout import Layout, boxminus, boxplus
+from mavins.nav.layout import CORE, X_SIZE, Layout, boxminus, boxplus
 from mavins.nav.so3 import quat_exp, quat_log, quat_mul
 from mavins.types import FloatArray, Origin
 
@@ -23,7 +23,7 @@ DT = 0.01
 
 
 def random_state(rng: np.random.Generator) -> FloatArray:
-    x = np.zeros(20)
+    x = np.zeros(X_SIZE)
     x[0:3] = rng.normal(size=3) * 3e3
     x[3:6] = rng.normal(size=3) * 15.0
     x[6:10] = quat_exp(rng.uniform(-1.6, 1.6, 3))
@@ -126,7 +126,7 @@ def test_covariance_goes_through_the_transition(size: int) -> None:
     expected = Phi @ P @ Phi.T + Q
     phi, dv = increments(x, u, DT)
     frame = (FRAME.r0_e, FRAME.C_ne, FRAME.w_ie_n)
-    ins.predict(x, P, phi, dv, DT, noise, 1.0, *frame, ins.workspace(size))
+    ins.predict(x, P, phi, dv, DT, noise, 1.0, *frame, ins.workspace(size, False))
     assert_allclose(P, expected, rtol=1e-12, atol=1e-12)
     assert_array_equal(P, P.T)
 
@@ -208,3 +208,38 @@ def test_integrals_and_rates_agree_on_a_linear_signal() -> None:
     )
     for a, b in zip(rates, integrals, strict=True):
         assert_allclose(a, b, atol=1e-8)
+
+
+@pytest.mark.parametrize("t", [(0.0, 0.0), (0.02, -0.3)])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_an_error_of_gravity_s_direction_against_finite_differences(
+    seed: int, t: tuple[float, float]
+) -> None:
+    rng = np.random.default_rng(seed)
+    layout = Layout.of((*CORE, "g_n"))
+    x, u = random_state(rng), random_readings(rng)
+    x[24:26] = t
+    phi, dv = increments(x, u, DT)
+    K, h = np.empty((6, 2)), 1e-4
+    earth = (FRAME.r0_e, FRAME.C_ne, FRAME.w_ie_n)
+    g = ins.mechanize(x.copy(), phi, dv, DT, *earth, np.empty((3, 3)))
+    ins.write_gravity_transition(K, x, g, DT)
+    for j in range(2):
+        ends = []
+        for sign in (1.0, -1.0):
+            y, d = x.copy(), np.zeros(17)
+            d[15 + j] = sign * h
+            boxplus(y, d, layout.columns)
+            ends.append(moved(y, u, DT))
+        column = boxminus(ends[0], ends[1], layout.columns) / (2 * h)
+        # what the Earth's turn makes of it in an interval, g w dt^2, is left out
+        assert_allclose(column[:6], K[:, j], rtol=1e-5, atol=1e-7)
+        assert_allclose(column[6:15], 0.0, atol=1e-10)
+    P = rng.normal(size=(17, 17))
+    P = P @ P.T
+    T = np.eye(17)
+    T[:6, 15:] = K
+    after = P.copy()
+    ins.feel_gravity(after, K)
+    assert_allclose(after, T @ P @ T.T)
+    assert_array_equal(after, after.T)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from mavins.nav.layout import BLOCKS, CORE, Layout, boxminus, boxplus
+from mavins.nav.layout import BLOCKS, CORE, X_SIZE, Layout, boxminus, boxplus
 from mavins.nav.so3 import quat_exp, quat_mul
 
 RNG = np.random.default_rng(3)
@@ -14,7 +14,7 @@ LAYOUTS = [Layout.of(), Layout.of((*CORE, "l_b")), Layout.of(BLOCKS), Layout.of(
 
 
 def random_state() -> np.ndarray:
-    x = RNG.normal(size=20)
+    x = RNG.normal(size=X_SIZE)
     x[6:10] = quat_exp(RNG.uniform(-1.5, 1.5, 3))
     return x
 
@@ -28,7 +28,7 @@ def test_boxplus_undoes_boxminus(layout: Layout) -> None:
 
 
 def test_sizes_and_columns() -> None:
-    assert [layout.size for layout in LAYOUTS] == [15, 18, 19, 16]
+    assert [layout.size for layout in LAYOUTS] == [15, 18, 25, 16]
     assert LAYOUTS[3].columns[-1] == 18
 
 
@@ -49,7 +49,9 @@ def test_blocks_that_a_layout_has_not_are_left_alone() -> None:
     assert_allclose(x[16:], before[16:], atol=0.0)
 
 
-@pytest.mark.parametrize("blocks", [("p_n",), (*CORE, "l_b", "l_b"), (*CORE[::-1],)])
+@pytest.mark.parametrize(
+    "blocks", [("p_n",), (*CORE, "l_b", "l_b"), (*CORE[::-1],), (*CORE, "g_n", "b_m")]
+)
 def test_a_layout_begins_with_the_core(blocks: tuple[str, ...]) -> None:
     with pytest.raises(ValueError, match="begins with"):
         Layout.of(blocks)

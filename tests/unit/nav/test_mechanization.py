@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from mavins.nav import ins
+from mavins.nav.layout import X_SIZE
 from mavins.nav.so3 import quat_conj, quat_log, quat_mul
 from mavins.types import FloatArray
 from sitl.scenario import load
@@ -24,7 +25,7 @@ def trajectory() -> Trajectory:
 
 def start_of(trajectory: Trajectory) -> FloatArray:
     k = trajectory.at(np.zeros(1))
-    x = np.zeros(20)
+    x = np.zeros(X_SIZE)
     x[:10] = np.concatenate([k.p_n[0], k.v_n[0], k.q_nb[0]])
     return x
 

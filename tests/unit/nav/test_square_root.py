@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from mavins.nav.linalg import reset_attitude_error
 from mavins.nav.square_root import (
     WIDTH,
+    add_deviation,
     deviations,
     root_of,
     square_of,
@@ -83,3 +84,16 @@ def test_deviations_are_reset_as_a_covariance_is() -> None:
     turn_attitude_deviations(S, 0, 15, *t)
     reset_attitude_error(P, t)
     assert_allclose(S.T @ S, P, rtol=1e-10, atol=1e-9)
+
+
+@pytest.mark.parametrize("k", [0, 7, 14])
+def test_one_deviation_more(k: int) -> None:
+    P = covariance(15, 3)
+    S, Q = np.empty((15, 15)), np.empty((15, 15))
+    assert root_of(S, P)
+    add_deviation(S, k, 0.7, np.empty(WIDTH))
+    square_of(Q, S)
+    P[k, k] += 0.49
+    scale = np.sqrt(np.diag(P))
+    assert_allclose(Q / np.outer(scale, scale), P / np.outer(scale, scale), atol=1e-13)
+    assert np.all(np.diag(S) > 0.0)

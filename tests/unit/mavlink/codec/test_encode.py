@@ -173,11 +173,10 @@ class TestEstimate:
         assert (odometry.reset_counter, odometry.quality) == (2, 80)
         body = quat_to_dcm(s.q_nb).T @ s.v_n
         assert (odometry.vx, odometry.vy, odometry.vz) == pytest.approx(tuple(body))
-        pose = codec.pose_covariance(s)
+        _, pose, twist = codec.pose_and_twist(s)
         diagonal = [odometry.pose_covariance[k] for k in (0, 6, 11, 15, 18, 20)]
         assert diagonal == pytest.approx(np.diag(pose).tolist(), rel=1e-6)
         assert odometry.pose_covariance[5] == pytest.approx(pose[0, 5], rel=1e-6)
-        twist = codec.twist_covariance(s)
         assert odometry.velocity_covariance[1] == pytest.approx(twist[0, 1], rel=1e-6)
 
     def test_covariances_are_those_of_perturbed_solutions(self) -> None:
@@ -195,8 +194,8 @@ class TestEstimate:
             twist[0:3, k] = quat_to_dcm(q).T @ (s.v_n + e[3:6]) - body
             twist[3:6, k] = -e[9:12]
         pose, twist = pose / step, twist / step
-        assert codec.pose_covariance(s) == pytest.approx(pose @ pose.T, abs=1e-5)
-        assert codec.twist_covariance(s) == pytest.approx(twist @ twist.T, abs=1e-5)
+        assert codec.pose_and_twist(s)[1] == pytest.approx(pose @ pose.T, abs=1e-5)
+        assert codec.pose_and_twist(s)[2] == pytest.approx(twist @ twist.T, abs=1e-5)
 
     def test_estimator_status(self) -> None:
         s = solution()
@@ -293,3 +292,31 @@ def test_sequence_and_zero_payload() -> None:
     assert packet[4] == 7
     assert packet[1] == 1  # MAVLink 2 never cuts the first byte
     assert len(scan(packet)) == 1
+
+
+class TestPacking:
+    @pytest.mark.parametrize("name", ["ATTITUDE", "ODOMETRY", "GLOBAL_POSITION_INT"])
+    def test_usual_values_are_packed_as_any(self, name: str) -> None:
+        fields = codec.fields_of(name)
+        rng = np.random.default_rng(4)
+        values: dict[str, Any] = {
+            field: rng.integers(1, 100, max(count, 1)).tolist()
+            for field, count in zip(fields.names, fields.counts, strict=True)
+        }
+        values = {
+            f: v if c else v[0] for (f, v), c in zip(values.items(), fields.counts, strict=True)
+        }
+        usual = fields._pack_usual(values)
+        assert usual is not None
+        assert usual == fields._pack_any(dict(values))
+
+    @pytest.mark.parametrize("value", [math.nan, math.inf, 1e39])
+    def test_what_is_not_usual_is_clamped(self, value: float) -> None:
+        fields = codec.fields_of("ATTITUDE")
+        assert fields._pack_usual({"roll": value}) is None
+        roll = fields.unpacker.unpack(fields.pack(roll=value))[1]
+        assert math.isfinite(roll)
+
+    def test_a_field_that_is_not_there(self) -> None:
+        with pytest.raises(KeyError):
+            codec.fields_of("ATTITUDE").pack(rol=1.0)
