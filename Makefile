@@ -8,6 +8,8 @@ PYTEST_ARGS ?=
 
 VENV := .venv
 BIN := $(VENV)/bin
+# A client of the acceptance tests, without its needs for maps and video.
+MAVPROXY = $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps 'MAVProxy>=1.8.75'
 
 .PHONY: help demo test lint bench clean
 
@@ -56,9 +58,11 @@ $(VENV)/.core: pyproject.toml | $(VENV)/.made
 $(VENV)/.test: pyproject.toml | $(VENV)/.made
 	@echo "installing mavins with its tests' needs into $(VENV) ..."
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[report,test,acceptance]'
+	@$(MAVPROXY)
 	@touch $@ $(VENV)/.core
 
 $(VENV)/.dev: pyproject.toml | $(VENV)/.made
 	@echo "installing mavins with its linters into $(VENV) ..."
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev,acceptance]'
+	@$(MAVPROXY)
 	@touch $@ $(VENV)/.core $(VENV)/.test
