@@ -37,11 +37,11 @@ from mavins.mavlink.commands import (
     carry_out,
     keep_parameters,
 )
+from mavins.mavlink.identity import identity_for
 from mavins.mavlink.intake import RELEVANT, Intake
 from mavins.mavlink.parameters import PARAM_SET, set_again
 from mavins.mavlink.peers import Identity
 from mavins.mavlink.requests import SET_GPS_GLOBAL_ORIGIN, decode_packet, is_for
-from mavins.mavlink.session import identity_for
 from mavins.mavlink.settings import SessionSettings
 from mavins.parameters import ConfigStore
 from mavins.results import EstimatesFile, ResultWriter, write_json, write_text

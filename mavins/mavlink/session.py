@@ -8,10 +8,9 @@ datagram), so that a recording of the packets and their stamps gives the same es
 
 from __future__ import annotations
 
-import itertools
 from collections import Counter
-from collections.abc import Callable, Collection, Hashable, Iterable
-from typing import Any, Final, Protocol
+from collections.abc import Callable, Hashable
+from typing import Any, Final
 
 import numpy as np
 
@@ -24,23 +23,22 @@ from mavins.mavlink.codec import (
     Damage,
     Frames,
     OriginRequest,
-    Payload,
-    fields_of,
-    frame,
     scan,
     statustext,
 )
 from mavins.mavlink.codec import decode as decode_frame
+from mavins.mavlink.identity import identity_for
 from mavins.mavlink.intake import RELEVANT, Intake
 from mavins.mavlink.microservice import Request
 from mavins.mavlink.monitor import Monitor
+from mavins.mavlink.outbox import Outbox, Recorder, Seal, Transmit
 from mavins.mavlink.parameters import (
     PARAM_SET,
     ParameterStore,
     VehicleParameters,
     is_refused,
 )
-from mavins.mavlink.peers import Identity, Peer, Peers, Speaker
+from mavins.mavlink.peers import Identity, Peers
 from mavins.mavlink.requests import (
     BY_MSGID,
     MICROSERVICES,
@@ -54,47 +52,13 @@ from mavins.mavlink.router import Router
 from mavins.mavlink.settings import AskingSettings, SessionSettings, StreamSettings
 from mavins.mavlink.signing import Verdict, unsigned, without_secrets
 from mavins.mavlink.sources import ARDUPILOT, PX4, SourceSettings
-from mavins.mavlink.vehicle import Due, Holder, Vehicle
+from mavins.mavlink.vehicle import Holder, Vehicle
 from mavins.types import Origin
 
-AUTOPILOT: Final = 1
-COMPANION: Final = 191
-"""MAV_COMPONENT: AUTOPILOT1, ONBOARD_COMPUTER."""
 _RELEVANT: Final = frozenset(RELEVANT.tolist())
-_NOT_TO_AUTOPILOTS: Final = frozenset(fields_of(n).msgid for n in ("ODOMETRY", "SYSTEM_TIME"))
-"""An autopilot would take them for an external position, and set its clock by our time."""
-
-
 _WARNING: Final = 4
 _WARNING_ID: Final = 0xFFFF
 """MAV_SEVERITY of a refusal, and the number of its text, which no other text comes to."""
-
-
-class Recorder(Protocol):
-    """Where every packet in and out goes, with its stamp (us since 1970)."""
-
-    def write(self, t_us: int, packet: bytes) -> None:
-        """Append one packet."""
-
-
-def identity_for(
-    sysid: int, settings: SessionSettings, seen: Collection[int], ours: Collection[int]
-) -> Identity:
-    """Under which ids we speak about vehicle `sysid`: as its companion, or with a sysid of our own, which is one of
-    those not `seen` in use nor `ours` for another vehicle."""
-    companion = settings.persona == "companion"
-    compid = settings.compid if settings.compid != "auto" else COMPANION if companion else AUTOPILOT
-    return Identity(sysid if companion else _own_sysid(sysid, settings, seen, ours), compid)
-
-
-def _own_sysid(
-    sysid: int, settings: SessionSettings, seen: Collection[int], ours: Collection[int]
-) -> int:
-    if settings.sysid != "auto" and not ours:
-        return settings.sysid
-    candidates = [1 + (sysid + 98 + k) % 250 for k in range(250)]
-    free = [c for c in candidates if c not in ours]
-    return next((c for c in free if c not in seen), free[0])
 
 
 class Session:
@@ -108,9 +72,9 @@ class Session:
         make_estimator: Callable[[int], Estimator],
         is_local: Callable[[Hashable], bool] = lambda address: True,
         recorder: Recorder | None = None,
-        transmit: Callable[[bytes, Hashable], None] | None = None,
+        transmit: Transmit | None = None,
         verify: Callable[[Frames, Hashable], Verdict] | None = None,
-        seal: Callable[[bytes, Hashable], bytes] | None = None,
+        seal: Seal | None = None,
         make_store: Callable[[Vehicle], ParameterStore | None] = lambda vehicle: None,
         monitor: MonitorSettings | None = None,
         output: AutopilotOutputSettings | None = None,
@@ -120,7 +84,6 @@ class Session:
         self.dropped: Counter[str] = Counter()
         self.peers = Peers(settings.max_peers, round(settings.peer_timeout * 1e6), self.dropped)
         self.packets_in = 0
-        self.packets_out = 0
         self.packets_routed = 0
         self._settings = settings
         self._streams = streams
@@ -128,15 +91,12 @@ class Session:
         self._make_estimator = make_estimator
         self._is_local = is_local
         self._recorder = recorder
-        self._recorded = Peer(None)
         self._verify = verify
-        self._seal = seal or (lambda packet, address: packet)
         self._make_store = make_store
         self._monitor = monitor
         self._output = output or AutopilotOutputSettings()
-        self._out: list[tuple[bytes, Hashable]] = []
         # a service sends each packet as soon as it is made; without one they wait for `datagrams`
-        self._transmit = transmit or (lambda data, address: self._out.append((data, address)))
+        self._outbox = Outbox(self.peers, recorder, transmit, seal)
         self._router = Router() if settings.route else None
         self.asking = Asking(
             asking or AskingSettings(enabled=False),
@@ -182,7 +142,7 @@ class Session:
         if self._router is not None:
             self._router.hear(frames, address)
             for packet, to in self._router.forward(frames, address, self.peers):
-                self._transmit(packet, to)
+                self._outbox.transmit(packet, to)
                 self.packets_routed += 1
         msgids, sysids = frames.msgid.tolist(), frames.sysid.tolist()
         if self.asking.lone or not self.asking.heard.isdisjoint(msgids):
@@ -221,27 +181,29 @@ class Session:
             if mine:
                 chosen = frames if len(mine) == len(msgids) else frames.select(np.array(mine))
                 now_us = int(frames.t_us[0])
-                self._say(vehicle, vehicle.take(chosen), now_us)
+                self._outbox.say(vehicle, vehicle.take(chosen), now_us)
                 due = vehicle.estimate_due()
                 if due is not None:
-                    self._stream(vehicle, due, now_us)
+                    spared = self._autopilots()
+                    self._outbox.stream(vehicle, vehicle.telemetry(), due, spared, now_us)
                 for payload in vehicle.output_due():
-                    self._send(vehicle, payload, vehicle.holder.address)
-                    self._record(vehicle, payload, now_us)
+                    self._outbox.answer(vehicle, payload, vehicle.holder.address, now_us)
 
     def tick(self, now_us: int) -> None:
         """What is due by our own clock; call it some ten times a second."""
         for vehicle in self.vehicles.values():
-            self._say(vehicle, vehicle.tick(now_us), now_us)
-            self._stream(vehicle, vehicle.service_due(now_us), now_us)
+            outbox, due = self._outbox, vehicle.service_due(now_us)
+            outbox.say(vehicle, vehicle.tick(now_us), now_us)
+            outbox.stream(vehicle, vehicle.telemetry(), due, self._autopilots(), now_us)
             for service in MICROSERVICES:
                 for address, payload in service.tick(now_us, vehicle):
-                    self._send(vehicle, payload, address)
-                    self._record(vehicle, payload, now_us)
+                    outbox.answer(vehicle, payload, address, now_us)
         for said in self.asking.tick(now_us, self.vehicles, self._identity):
-            for address in self.peers if said.to_all else (said.autopilot.address,):
-                self._send(said.autopilot, said.payload, address)
-            self._record(said.autopilot, said.payload, now_us)
+            speaker = said.autopilot
+            if said.to_all:
+                self._outbox.say(speaker, [said.payload], now_us)
+            else:
+                self._outbox.answer(speaker, said.payload, speaker.address, now_us)
         for address in self.peers.expire(now_us):
             self._forget(address)
 
@@ -254,8 +216,14 @@ class Session:
 
     def datagrams(self) -> list[tuple[bytes, Hashable]]:
         """What is to be sent now: (bytes, address), in order."""
-        out, self._out = self._out, []
+        out = self._outbox.waiting[:]
+        self._outbox.waiting.clear()
         return out
+
+    @property
+    def packets_out(self) -> int:
+        """How many packets of ours went to peers."""
+        return self._outbox.count
 
     # ---- who may come in ---------------------------------------------------------------------------------------
 
@@ -316,8 +284,7 @@ class Session:
             return
         for vehicle in self.vehicles.values():
             for payload in vehicle.welcome():
-                self._send(vehicle, payload, address)
-                self._record(vehicle, payload, now_us)
+                self._outbox.answer(vehicle, payload, address, now_us)
 
     def _new_vehicle(self, sysid: int, address: Hashable, now_us: int) -> Vehicle | None:
         if len(self.vehicles) >= self._settings.max_vehicles:
@@ -355,31 +322,6 @@ class Session:
             if count:
                 self.dropped[name.replace("_", " ")] += count
 
-    # ---- what goes out -----------------------------------------------------------------------------------------
-
-    def _say(self, vehicle: Vehicle, payloads: Iterable[Payload], now_us: int) -> None:
-        """Send news about a vehicle to every peer."""
-        for payload in payloads:
-            for address in self.peers:
-                self._send(vehicle, payload, address)
-            self._record(vehicle, payload, now_us)
-
-    def _stream(self, vehicle: Vehicle, due: Due, now_us: int) -> None:
-        """Send what is due about a vehicle: the usual to most peers, and to some what they asked for."""
-        telemetry = vehicle.telemetry()
-        spared = self._autopilots()
-        usual = [address for address in self.peers if address not in due.own]
-        recorded = dict.fromkeys((*due.usual, *itertools.chain.from_iterable(due.own.values())))
-        for name in recorded:
-            payload = telemetry[name]
-            if payload is None:
-                continue
-            wanting = [address for address, names in due.own.items() if name in names]
-            for address in (*(usual if name in due.usual else ()), *wanting):
-                if payload.msgid not in _NOT_TO_AUTOPILOTS or address not in spared:
-                    self._send(vehicle, payload, address)
-            self._record(vehicle, payload, now_us)
-
     def _autopilots(self) -> set[Hashable]:
         """The addresses of vehicles that have a filter of their own."""
         return {
@@ -387,20 +329,6 @@ class Session:
             for v in self.vehicles.values()
             if v.intake.autopilot in (ARDUPILOT, PX4)
         }
-
-    def _record(self, speaker: Speaker, payload: Payload, now_us: int) -> None:
-        if self._recorder is not None:
-            who = speaker.identity
-            self._recorder.write(now_us, frame(payload, *who, self._recorded.next_sequence(who)))
-
-    def _send(self, speaker: Speaker, payload: Payload, address: Hashable) -> None:
-        peer = self.peers.get(address)
-        if peer is None:
-            return
-        who = speaker.identity
-        packet = frame(payload, *who, peer.next_sequence(who))
-        self._transmit(self._seal(packet, address), address)
-        self.packets_out += 1
 
     # ---- what is asked of us -----------------------------------------------------------------------------------
 
@@ -416,10 +344,9 @@ class Session:
                 continue
             for reply in BY_MSGID[msgid].answer(request, vehicle):
                 if reply.to_all:
-                    self._say(vehicle, [reply.payload], request.now_us)
+                    self._outbox.say(vehicle, [reply.payload], request.now_us)
                 else:
-                    self._send(vehicle, reply.payload, request.address)
-                    self._record(vehicle, reply.payload, request.now_us)
+                    self._outbox.answer(vehicle, reply.payload, request.address, request.now_us)
 
     def _allows(self, message: Any, trusted: bool) -> bool:
         """False for a change that will be refused."""
@@ -440,7 +367,7 @@ class Session:
         text = "mavins: changes are taken from its own host only (serve --allow-remote-config)"
         for vehicle in self.vehicles.values():
             for payload in statustext(text, _WARNING, _WARNING_ID):
-                self._send(vehicle, payload, address)
+                self._outbox.send(vehicle, payload, address)
 
     def _origin(self, frames: Frames, i: int, now_us: int) -> None:
         request = decode_frame(frames, i)
@@ -455,4 +382,4 @@ class Session:
         for vehicle in self.vehicles.values():
             if request.target_system in (0, vehicle.identity.sysid):
                 origin = Origin(request.lat, request.lon, request.alt)
-                self._say(vehicle, vehicle.set_origin(origin), now_us)
+                self._outbox.say(vehicle, vehicle.set_origin(origin), now_us)

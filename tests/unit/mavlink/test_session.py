@@ -11,7 +11,8 @@ import pytest
 from pymavlink.dialects.v20 import all as dialect
 
 from mavins.mavlink.codec import frame, heartbeat, highres_imu
-from mavins.mavlink.session import Session, identity_for
+from mavins.mavlink.identity import identity_for
+from mavins.mavlink.session import Session
 from mavins.mavlink.settings import SessionSettings, StreamSettings
 from mavins.mavlink.sources import SourceSettings
 from mavins.types import ImuSample
