@@ -57,7 +57,7 @@ def refused(capsys: pytest.CaptureFixture[str], *options: str) -> str:
         ("flight.bin", b"\xa3\x95\x80" + bytes(100), ".bin"),
         ("flight.tlog.gz", b"\x1f\x8b" + bytes(10), "damaged"),
         ("flight.tlog.xz", b"\xfd7zXZ\x00" + bytes(20), "damaged"),
-        ("flight.tlog.gz", gzip.compress(b""), "empty"),
+        ("flight.tlog.gz", gzip.compress(b"", mtime=0), "empty"),
         ("flight.tlog.xz", lzma.compress(b"nothing of use"), "not a MAVLink .tlog"),
     ],
 )
