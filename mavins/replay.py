@@ -20,13 +20,12 @@ from mavins.estimator.feed import Feed
 from mavins.estimator.history import History
 from mavins.estimator.smoothing import smooth
 from mavins.estimator.solution import EULER, LLA, V_L, WIDTH
-from mavins.evaluation.compare import Truth
 from mavins.evaluation.errors import errors_against
 from mavins.evaluation.tape import Tape
 from mavins.logs.csv_feed import feed_folder, settled
 from mavins.logs.csv_folder import read_csv_folder
 from mavins.logs.tlog import read_tlog
-from mavins.logs.truth import TruthTable, truth_of
+from mavins.logs.truth import Truth, truth_of
 from mavins.mavlink.asking import SPOKEN
 from mavins.mavlink.codec import IMU_KINDS, Frames, OriginRequest, decode
 from mavins.mavlink.commands import (
@@ -152,10 +151,10 @@ def write_smoothed(
     return np.concatenate(times), np.concatenate(rows)
 
 
-def _judged(t_us: IntArray, rows: FloatArray, truth: TruthTable) -> dict[str, Any]:
+def _judged(t_us: IntArray, rows: FloatArray, truth: Truth) -> dict[str, Any]:
     """RMS and largest errors of described rows (N, 31)."""
-    columns = _columns(truth).columns()
-    return errors_against(t_us, rows[:, LLA], rows[:, V_L], rows[:, EULER], columns).summary()
+    truth_columns = truth.columns()
+    return errors_against(t_us, rows[:, LLA], rows[:, V_L], rows[:, EULER], truth_columns).summary()
 
 
 class Source(Protocol):
@@ -168,7 +167,7 @@ class Source(Protocol):
     config: Config
     seconds: float
     damage: dict[str, int]
-    truth: TruthTable | None
+    truth: Truth | None
 
     def feed(self, estimator: Feed, progress: Callable[[float], None]) -> None:
         """All of the log into an estimator."""
@@ -248,12 +247,7 @@ def tape_of(
     tape = Tape(source.config)
     source.feed(tape, progress)
     truth = source.truth
-    return tape, None if truth is None or len(truth) < 2 else _columns(truth)
-
-
-def _columns(truth: TruthTable) -> Truth:
-    lla = np.column_stack([truth.lat, truth.lon, truth.alt])
-    return Truth(truth.t_us, lla, truth.v_l, truth.q_lb)
+    return tape, None if truth is None or len(truth) < 2 else truth
 
 
 def our_identity(frames: Frames, sysid: int, settings: SessionSettings) -> Identity | None:

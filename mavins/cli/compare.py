@@ -14,8 +14,9 @@ from mavins.filters import REGISTRY
 if TYPE_CHECKING:
     from mavins.config import Config
     from mavins.estimator.settings import Settings
-    from mavins.evaluation.compare import Run, Truth
+    from mavins.evaluation.compare import Run
     from mavins.evaluation.tape import Tape
+    from mavins.logs.truth import Truth
 
 SUMMARY = """\
 Run several filters on the same samples, of a log or of simulated flights, and compare them: errors,

@@ -21,6 +21,7 @@ from mavins.evaluation.consistency import band, errors, nees, share_inside
 from mavins.evaluation.errors import Errors, errors_against, interpolate_truth
 from mavins.evaluation.tape import Tape
 from mavins.filters import RowBlock
+from mavins.logs.truth import Truth
 from mavins.nav.earth import TangentFrame
 from mavins.nav.so3 import dcm_to_quat, quat_conj, quat_mul
 from mavins.types import FloatArray, IntArray
@@ -34,20 +35,6 @@ CONVERGED_POS: Final = 2.0
 CONVERGED_ATT: Final = math.radians(3.0)
 CONVERGED_FOR_US: Final = 5_000_000
 """A run has converged once its errors stay below these (m horizontally, rad on each axis) for so long."""
-
-
-@dataclass(frozen=True, slots=True)
-class Truth:
-    """The truth at `t_us` (N,): `lla` (N, 3) rad, rad, m; `v_l` (N, 3) m/s; `q_lb` (N, 4)."""
-
-    t_us: IntArray
-    lla: FloatArray
-    v_l: FloatArray
-    q_lb: FloatArray
-
-    def columns(self) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
-        """As `interpolate_truth` takes it."""
-        return self.t_us, self.lla, self.v_l, self.q_lb
 
 
 @dataclass(frozen=True, slots=True)

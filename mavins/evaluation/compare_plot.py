@@ -6,19 +6,17 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import matplotlib as mpl
 import numpy as np
 
-mpl.use("Agg")
-from matplotlib import pyplot as plt
-
 from mavins.estimator.solution import EULER, LLA, V_L
+from mavins.evaluation.pictures import plt
 from mavins.nav.earth import TangentFrame
 from mavins.nav.so3 import quat_to_euler
 from mavins.types import FloatArray, IntArray, Origin
 
 if TYPE_CHECKING:
-    from mavins.evaluation.compare import Run, Truth
+    from mavins.evaluation.compare import Run
+    from mavins.logs.truth import Truth
 
 _PANELS = ("altitude, m", "speed, m/s", "roll, deg", "pitch, deg", "yaw, deg")
 

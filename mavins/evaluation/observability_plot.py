@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import matplotlib as mpl
 import numpy as np
 
-mpl.use("Agg")
-from matplotlib import pyplot as plt
-
 from mavins.evaluation.observability import VISIBLE, Analysis
+from mavins.evaluation.pictures import plt
 
 _FLOOR = 1e-12
 """What is smaller is drawn as this."""

@@ -11,11 +11,8 @@ HINT = "no pictures without matplotlib: pip install 'mavins[report]'"
 def pyplot(say: Callable[[str], None]) -> Any | None:
     """matplotlib's pyplot, drawing into files; None where it is not installed."""
     try:
-        import matplotlib
+        from mavins.evaluation.pictures import plt
     except ImportError:
         say(HINT)
         return None
-    matplotlib.use("agg")
-    from matplotlib import pyplot as plot
-
-    return plot
+    return plt

@@ -87,10 +87,7 @@ def fly(folder: CsvFolder, settings: Settings, name: str, min_speed: float) -> t
     t_us, rows = t_us[fast], rows[fast]
     truth = folder.truth
     assert truth is not None
-    lla = np.column_stack([truth.lat, truth.lon, truth.alt])
-    errors = errors_against(
-        t_us, rows[:, LLA], rows[:, V_L], rows[:, EULER], (truth.t_us, lla, truth.v_l, truth.q_lb)
-    )
+    errors = errors_against(t_us, rows[:, LLA], rows[:, V_L], rows[:, EULER], truth.columns())
     trouble = estimator.loss
     if estimator.health is not Health.RUNNING:
         trouble = f"{estimator.health.name.lower()}: {estimator.reason}"

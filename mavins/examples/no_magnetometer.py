@@ -17,12 +17,13 @@ import numpy as np
 
 from mavins.config import Config
 from mavins.estimator.solution import SD_EULER, SD_P, SD_V
-from mavins.evaluation.compare import Run, Truth
+from mavins.evaluation.compare import Run
 from mavins.evaluation.compare import run as play
 from mavins.evaluation.tape import Tape
 from mavins.examples import drawing
 from mavins.examples.base import Figure
 from mavins.examples.scenarios import flight, matched
+from mavins.logs.truth import Truth
 from mavins.nav.so3 import wrap_pi
 from mavins.types import FloatArray
 from sitl.scenario import Scenario, parse

@@ -13,9 +13,9 @@ from mavins.aiding import Measurement, gnss_position, gnss_velocity, heading
 from mavins.config import Config
 from mavins.estimator.quality import noise_of
 from mavins.estimator.settings import StatesSettings
-from mavins.evaluation.compare import Truth
 from mavins.evaluation.course import Course
 from mavins.evaluation.tape import Tape
+from mavins.logs.truth import Truth
 from mavins.nav.earth import TangentFrame
 from mavins.nav.layout import X_L, X_P, X_Q, X_SIZE, X_TAU, X_V
 from mavins.types import FloatArray, GnssFix, HeadingFix, ImuTable, IntArray, Origin

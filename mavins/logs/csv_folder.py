@@ -16,7 +16,7 @@ import numpy as np
 
 from mavins.errors import LogFormatError
 from mavins.logs.csv_table import CsvTable, find_table, read_table
-from mavins.logs.truth import TruthTable
+from mavins.logs.truth import Truth
 from mavins.nav.so3 import euler_to_quat
 from mavins.types import BaroSample, FloatArray, GnssFix, HeadingFix, ImuTable, MagSample
 
@@ -49,7 +49,7 @@ class CsvFolder:
     headings: list[HeadingFix]
     mag: list[MagSample]
     baro: list[BaroSample]
-    truth: TruthTable | None
+    truth: Truth | None
     dropped: Counter[str]
 
     @property
@@ -168,7 +168,7 @@ def _baros(table: CsvTable | None) -> list[BaroSample]:
     return [BaroSample(t_us, alt, "baro.csv") for t_us, alt in rows]
 
 
-def _truth(table: CsvTable | None) -> TruthTable | None:
+def _truth(table: CsvTable | None) -> Truth | None:
     """A truth, or what the log's own filter said, with NaN where it says nothing; one row per stamp."""
     if table is None:
         return None
@@ -177,6 +177,5 @@ def _truth(table: CsvTable | None) -> TruthTable | None:
     q_lb: FloatArray = np.array([euler_to_quat(*row) for row in euler.tolist()]).reshape(-1, 4)
     lat, lon = np.radians(table.stack(*_LLA[:2])).T
     source = table.path.name.partition(".")[0] + ".csv"
-    return TruthTable(
-        source, table.t_us, lat, lon, table.column("alt_m"), table.stack(*_VELOCITY), q_lb
-    )
+    lla = np.column_stack([lat, lon, table.column("alt_m")])
+    return Truth(table.t_us, lla, table.stack(*_VELOCITY), q_lb, source)

@@ -24,31 +24,33 @@ _DEG_E7: Final = np.radians(1e-7)
 
 
 @dataclass(frozen=True, slots=True)
-class TruthTable:
-    """N truth samples in increasing time, from messages called `source`.
+class Truth:
+    """N truth samples in increasing time, from messages or a file called `source`.
 
-    `t_us` (N,) boot microseconds; `lat`, `lon` (N,) rad; `alt` (N,) m above mean sea level; `v_l`
-    (N, 3) m/s NED; `q_lb` (N, 4) unit quaternions, scalar first.
+    `t_us` (N,) boot microseconds; `lla` (N, 3) latitude and longitude in rad, altitude in m above mean sea level;
+    `v_l` (N, 3) m/s NED; `q_lb` (N, 4) unit quaternions, scalar first. What a file lacks is nan.
     """
 
-    source: str
     t_us: IntArray
-    lat: FloatArray
-    lon: FloatArray
-    alt: FloatArray
+    lla: FloatArray
     v_l: FloatArray
     q_lb: FloatArray
+    source: str = "simulator"
+
+    def columns(self) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
+        """As `evaluation.errors.interpolate_truth` takes it."""
+        return self.t_us, self.lla, self.v_l, self.q_lb
 
     def __len__(self) -> int:
         return len(self.t_us)
 
 
-def truth_of(frames: Frames, sysid: int) -> TruthTable | None:
+def truth_of(frames: Frames, sysid: int) -> Truth | None:
     """The truth of vehicle `sysid`, or None where the log carries none."""
     return _hil_state(frames, sysid) or _sim_state(frames, sysid)
 
 
-def _hil_state(frames: Frames, sysid: int) -> TruthTable | None:
+def _hil_state(frames: Frames, sysid: int) -> Truth | None:
     at = np.flatnonzero((frames.msgid == _HIL_STATE_QUATERNION.msgid) & (frames.sysid == sysid))
     if not len(at):
         return None
@@ -64,7 +66,7 @@ def _hil_state(frames: Frames, sysid: int) -> TruthTable | None:
     )
 
 
-def _sim_state(frames: Frames, sysid: int) -> TruthTable | None:
+def _sim_state(frames: Frames, sysid: int) -> Truth | None:
     mine = frames.sysid == sysid
     at = np.flatnonzero((frames.msgid == _SIM_STATE.msgid) & mine)
     imu_at = np.flatnonzero((frames.msgid == _RAW_IMU.msgid) & mine)
@@ -93,7 +95,7 @@ def _table(
     alt: FloatArray,
     v_l: FloatArray,
     q_lb: FloatArray,
-) -> TruthTable | None:
+) -> Truth | None:
     """The table without the rows that cannot be true, in increasing time, one row per stamp."""
     norm = np.linalg.norm(q_lb, axis=1)
     usable = (t_us > 0) & (t_us < FIRST_UNIX_US) & (abs(norm - 1.0) < 0.1) & np.isfinite(alt)
@@ -103,4 +105,5 @@ def _table(
     if not len(kept):
         return None
     unit = q_lb[kept] / norm[kept, None]
-    return TruthTable(source, t_us[kept], lat[kept], lon[kept], alt[kept], v_l[kept], unit)
+    lla = np.column_stack([lat, lon, alt])[kept]
+    return Truth(t_us[kept], lla, v_l[kept], unit, source)

@@ -16,10 +16,10 @@ from mavins.estimator.estimator import Estimator, Outputs
 from mavins.estimator.fusion import Event
 from mavins.estimator.motion import MotionHeading
 from mavins.estimator.settings import Settings
-from mavins.evaluation.compare import Truth
 from mavins.evaluation.errors import interpolate_truth
 from mavins.evaluation.tape import Tape
 from mavins.examples.scenarios import flight
+from mavins.logs.truth import Truth
 from mavins.nav.so3 import quat_to_euler
 from mavins.types import GnssFix, Health, ImuTable
 from sitl.scenario import load

@@ -19,12 +19,12 @@ from mavins.estimator.history import History
 from mavins.estimator.reconfigure import FIXED, applicable
 from mavins.estimator.settings import Settings
 from mavins.estimator.smoothing import smooth
-from mavins.evaluation.compare import Truth
 from mavins.evaluation.consistency import errors, nees
 from mavins.evaluation.errors import interpolate_truth
 from mavins.evaluation.tape import Tape
 from mavins.examples.scenarios import flight, matched
 from mavins.filters import REGISTRY, RowBlock
+from mavins.logs.truth import Truth
 from mavins.nav.earth import TangentFrame
 from mavins.nav.layout import B_G
 from mavins.nav.so3 import dcm_to_quat, quat_conj, quat_mul

@@ -13,12 +13,12 @@ from mavins.config import Config
 from mavins.estimator.estimator import Estimator, Outputs
 from mavins.estimator.history import History
 from mavins.estimator.smoothing import smooth
-from mavins.evaluation.compare import Truth
 from mavins.evaluation.consistency import errors, nees
 from mavins.evaluation.errors import interpolate_truth
 from mavins.evaluation.tape import Tape
 from mavins.examples.scenarios import flight, matched
 from mavins.filters import REGISTRY, RowBlock
+from mavins.logs.truth import Truth
 from mavins.nav.earth import TangentFrame
 from mavins.nav.so3 import dcm_to_quat, quat_conj, quat_mul
 from mavins.types import FloatArray

@@ -60,7 +60,7 @@ def test_all_tables(tmp_path: Path) -> None:
     assert [(fix.yaw, fix.sigma) for fix in log.headings] == [(1.5, None), (1.6, 0.02)]
     assert log.truth is not None
     assert log.truth.source == "reference.csv"
-    assert np.isnan(log.truth.lat[0])
+    assert np.isnan(log.truth.lla[0, 0])
     assert np.isnan(log.truth.v_l[0]).all()
     assert_allclose(quat_to_euler(log.truth.q_lb[1]), [0.1, -0.2, -3.1])
     assert log.dropped == {
@@ -169,7 +169,7 @@ def test_the_flights_are_read(shared: Callable[[str], Path]) -> None:
     assert fixed_wing.dropped["imu all zero"] == 1
     assert fixed_wing.dropped["mag all zero"] == 1
     assert fixed_wing.truth is not None
-    assert int(np.isnan(fixed_wing.truth.lat).sum()) == 2282
+    assert int(np.isnan(fixed_wing.truth.lla[:, 0]).sum()) == 2282
     copter = read_csv_folder(shared("data/flights/quad_apm_122a"))
     assert (len(copter.imu), len(copter.gnss), len(copter.mag)) == (18004, 2001, 3619)
     assert all(fix.satellites is None for fix in copter.gnss)

@@ -26,7 +26,7 @@ def test_hil_state_quaternion() -> None:
     assert truth is not None
     assert truth.source == "HIL_STATE_QUATERNION"
     assert truth.t_us.tolist() == [20_000, 40_000, 60_000, 80_000]
-    assert truth.alt.tolist() == [501.0, 502.0, 503.0, 504.0]
+    assert truth.lla[:, 2].tolist() == [501.0, 502.0, 503.0, 504.0]
     assert truth.v_l[0] == pytest.approx([1.0, 2.0, -0.5])
     assert truth.q_lb[0] == pytest.approx([0.6, 0.0, 0.8, 0.0])
     assert truth_of(frames, 1) is None
@@ -47,7 +47,7 @@ def test_sim_state_takes_the_stamp_of_the_raw_imu_before_it() -> None:
     truth = truth_of(frames, 1)
     assert truth is not None
     assert truth.t_us.tolist() == [1000, 2000]  # one row for one stamp, none without
-    assert np.degrees(truth.lat) * 1e7 == pytest.approx([20, 40])
+    assert np.degrees(truth.lla[:, 0]) * 1e7 == pytest.approx([20, 40])
 
 
 @pytest.mark.slow
@@ -66,7 +66,7 @@ def test_recordings(
     assert truth.source == source
     assert len(truth) > 10_000
     assert (np.diff(truth.t_us) > 0).all()
-    assert math.degrees(truth.lat[0]) == pytest.approx(home[0], abs=1e-5)
-    assert math.degrees(truth.lon[0]) == pytest.approx(home[1], abs=1e-5)
-    assert truth.alt[0] == pytest.approx(home[2], abs=0.5)
+    assert math.degrees(truth.lla[0, 0]) == pytest.approx(home[0], abs=1e-5)
+    assert math.degrees(truth.lla[0, 1]) == pytest.approx(home[1], abs=1e-5)
+    assert truth.lla[0, 2] == pytest.approx(home[2], abs=0.5)
     assert abs(np.linalg.norm(truth.q_lb, axis=1) - 1.0).max() < 1e-12
