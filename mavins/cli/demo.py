@@ -37,8 +37,11 @@ examples:
   mavins demo --scenario figure8 --duration 120
   mavins demo --seed 7 | cat                     plain lines, one per second"""
 
+LISTEN_LIMIT: Final = 300.0
+"""Seconds until the service listens: a cold compilation of the kernels, on a slow machine too."""
+
 START_LIMIT: Final = 90.0
-"""Seconds until the first estimate: a cold compilation of the kernels, then alignment."""
+"""Seconds from then on until the first estimate: the simulator's own kernels, then alignment."""
 
 SILENCE_LIMIT: Final = 10.0
 """Seconds without a status line, once the filter runs, after which the service counts as hung."""
@@ -91,13 +94,14 @@ def fly(
     renderer: StatusRenderer,
     start_limit: float = START_LIMIT,
     stop_limit: float = STOP_LIMIT,
+    listen_limit: float = LISTEN_LIMIT,
 ) -> int:
     """Run both processes until `duration` after the first estimate; 0 if the estimate is good."""
     verdict = Verdict()
     failures: list[str] = []
     with _termination_as_interrupt(), _Pair(stop_limit) as pair:
         try:
-            _watch(pair, children, duration, start_limit, renderer, verdict)
+            _watch(pair, children, duration, (listen_limit, start_limit), renderer, verdict)
         except DemoError as error:
             failures.append(str(error))
         finally:
@@ -116,13 +120,15 @@ def _watch(
     pair: _Pair,
     children: Children,
     duration: float,
-    start_limit: float,
+    limits: tuple[float, float],
     renderer: StatusRenderer,
     verdict: Verdict,
 ) -> None:
     """Read the service's lines, start the simulator when it listens, end when time is up."""
     pair.start("serve", children.serve)
-    deadline = time.monotonic() + start_limit
+    listen_limit, start_limit = limits
+    missing = f"not listening within {listen_limit:.0f} s"
+    deadline = time.monotonic() + listen_limit
     while (left := deadline - time.monotonic()) > 0:
         patience = min(left, SILENCE_LIMIT) if verdict.samples else left
         line = pair.line(patience)
@@ -132,6 +138,8 @@ def _watch(
             break
         if line.startswith("listening "):
             pair.start("sitl", children.sitl)
+            missing = f"no estimate within {start_limit:.0f} s"
+            deadline = time.monotonic() + start_limit
             continue
         snapshot = _snapshot(line)
         if snapshot is None:
@@ -140,7 +148,7 @@ def _watch(
         if verdict.add(snapshot) and verdict.samples == 1:
             deadline = time.monotonic() + duration
     if not verdict.samples:
-        raise DemoError(f"no estimate within {start_limit:.0f} s")
+        raise DemoError(missing)
 
 
 def _snapshot(line: str) -> StatusSnapshot | None:

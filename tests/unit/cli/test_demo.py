@@ -134,6 +134,12 @@ def test_a_filter_that_never_runs_fails(pair: Pair, capsys: pytest.CaptureFixtur
     assert pair.alive() == []
 
 
+def test_a_service_that_never_listens_fails(pair: Pair, capsys: pytest.CaptureFixture[str]) -> None:
+    children = demo.Children([sys.executable, "-c", "import time; time.sleep(60)"], ["true"])
+    assert fly(children, listen_limit=1.0) == 1
+    assert "FAILED: not listening within 1 s" in capsys.readouterr().out
+
+
 def test_a_service_that_falls_silent_fails(
     pair: Pair, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
