@@ -18,7 +18,7 @@ from mavins.mavlink.codec import (
     command_ack,
     message_interval,
 )
-from mavins.mavlink.codec.decode import MAX_ALTITUDE
+from mavins.mavlink.codec.checks import MAX_ALTITUDE
 from mavins.mavlink.data_streams import REQUEST_DATA_STREAM, set_data_stream
 from mavins.mavlink.microservice import Reply, Request
 from mavins.mavlink.parameters import ParameterStore, changes_since, values_of
