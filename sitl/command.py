@@ -66,17 +66,18 @@ def run(args: argparse.Namespace) -> int:
     if args.udp is None and args.record is None:
         raise ScenarioError("nowhere to send the packets: give --udp HOST:PORT, --record FILE.tlog")
     from mavins.logs.tlog import TlogWriter
+    from mavins.mavlink.codec import Payload
     from mavins.transports.base import parse_address
     from mavins.transports.udp import UdpTransport
     from sitl import scenario
-    from sitl.emitter import UNIX_AT_BOOT_US, Emitter, fly, packets
+    from sitl.emitter import UNIX_AT_BOOT_US, Emitter, fly
     from sitl.simulation import Simulation
 
     with contextlib.ExitStack() as stack:
         stop = stack.enter_context(_stop_signals())
         simulation = Simulation(scenario.load(args.scenario), args.seed)
         emitter = Emitter(simulation.scenario, args.sysid, args.compid)
-        stream = packets(simulation, emitter=emitter)
+        stream = (item for block in simulation.blocks() for item in emitter.payloads(block))
         udp = log = None
         if args.udp is not None:
             udp = UdpTransport.client(*parse_address(args.udp, "127.0.0.1"))
@@ -86,10 +87,10 @@ def run(args: argparse.Namespace) -> int:
 
         now = (0, 0.0)
 
-        def output(t_us: int, packet: bytes) -> None:
+        def output(t_us: int, payload: Payload) -> None:
             nonlocal now
             now = t_us, time.monotonic()
-            send(t_us, packet)
+            send(t_us, emitter.number(payload))
             listen(0.0)
 
         def send(t_us: int, packet: bytes) -> None:
@@ -107,12 +108,12 @@ def run(args: argparse.Namespace) -> int:
                     send(now[0], answer)  # a log's stamps never step back
 
         # the first second is made, and all kernels compiled, before the clock starts
-        stream = itertools.chain([next(stream)], stream)
+        whole = itertools.chain([next(stream)], stream)
         if args.verbosity >= 0:
             targets = ", ".join(str(target) for target in (args.udp, args.record) if target)
             print(f"flying {args.scenario}, seed {args.seed}, to {targets}", file=sys.stderr)
         wait = time.sleep if udp is None else listen
-        fly(stream, output, args.duration, args.speed, lambda: bool(stop), udp is not None, wait)
+        fly(whole, output, args.duration, args.speed, lambda: bool(stop), udp is not None, wait)
     return 0
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
-from typing import Final
+from typing import Final, TypeVar
 
 from mavins.mavlink.codec import encode, fields_of
 from mavins.types import GnssFix, HeadingFix, ImuSample
@@ -25,8 +25,8 @@ MAV_TYPE_QUADROTOR: Final = 2
 MAV_AUTOPILOT_GENERIC: Final = 0
 NO_RATES: Final = (0.0, 0.0, 0.0)
 
-Output = Callable[[int, bytes], None]
-"""Takes a packet and its time in us since boot."""
+Item = TypeVar("Item")
+"""A packet, or what will be one."""
 
 # an unpaced stream pauses this long after so many packets, so that a receiver can drain its socket
 BREATH: Final = 0.001
@@ -48,19 +48,23 @@ class Emitter:
 
     def packets(self, block: Measurements) -> Iterator[tuple[int, bytes]]:
         """The packets (t_us, bytes) of one second of measurements."""
+        return ((t_us, self.number(payload)) for t_us, payload in self.payloads(block))
+
+    def payloads(self, block: Measurements) -> Iterator[tuple[int, encode.Payload]]:
+        """What is in them, not numbered yet: an answer may go out before."""
         begin = int(block.imu.t_us[0])
         clock = encode.system_time(UNIX_AT_BOOT_US + begin, begin)
         for payload in (encode.heartbeat(MAV_TYPE_QUADROTOR, MAV_AUTOPILOT_GENERIC), clock):
             if self._streams.passes(payload.msgid, begin):
-                yield begin, self._frame(payload)
+                yield begin, payload
         for event in block.events():
             for payload in self._payloads(event):
                 if self._streams.passes(payload.msgid, stamp(event)):
-                    yield stamp(event), self._frame(payload)
+                    yield stamp(event), payload
 
     def answer(self, data: bytes, boot_us: int) -> list[bytes]:
         """The packets that a datagram is answered with."""
-        return [self._frame(payload) for payload in self._answers.to(data, boot_us)]
+        return [self.number(payload) for payload in self._answers.to(data, boot_us)]
 
     def _payloads(self, event: Event) -> Sequence[encode.Payload]:
         if isinstance(event, ImuSample):
@@ -78,7 +82,8 @@ class Emitter:
             fix.t_us, fix.lat, fix.lon, fix.alt, above_home, v_l, None
         )
 
-    def _frame(self, payload: encode.Payload) -> bytes:
+    def number(self, payload: encode.Payload) -> bytes:
+        """The next packet."""
         packet = encode.frame(payload, self._sysid, self._compid, self._seq)
         self._seq = (self._seq + 1) & 0xFF
         return packet
@@ -108,8 +113,8 @@ def packets(
 
 
 def fly(
-    stream: Iterator[tuple[int, bytes]],
-    output: Output,
+    stream: Iterator[tuple[int, Item]],
+    output: Callable[[int, Item], None],
     duration: float = math.inf,
     speed: float = 1.0,
     stopped: Callable[[], bool] = lambda: False,
@@ -118,12 +123,14 @@ def fly(
 ) -> None:
     """Give the stream's first `duration` s to `output` at `speed` times real time until `stopped`.
 
+    Its items come with their us since boot.
+
     An infinite speed does not wait; with `breathe` it pauses now and then for a receiver that must
     keep up. `wait` passes up to so many seconds.
     """
     begin = time.monotonic()
     end_us = START_US + duration * 1e6
-    for count, (t_us, packet) in enumerate(stream, start=1):
+    for count, (t_us, item) in enumerate(stream, start=1):
         if t_us >= end_us:
             return
         due = begin + (t_us - START_US) / 1e6 / speed
@@ -131,6 +138,6 @@ def fly(
             wait(min(delay, NAP))
         if stopped():
             return
-        output(t_us, packet)
+        output(t_us, item)
         if breathe and speed == math.inf and count % BREATH_AFTER == 0:
             time.sleep(BREATH)

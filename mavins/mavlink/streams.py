@@ -70,9 +70,9 @@ class Home:
 
     @classmethod
     def of(cls, place: Origin, frame: TangentFrame) -> Home:
-        """Home is there; how the ground lies is not known."""
+        """Home is there, on level ground, with a heading of north for want of another."""
         p_n = frame.from_lla(place.lat, place.lon, place.alt)
-        return cls(place, p_n, (math.nan, math.nan, math.nan, math.nan))
+        return cls(place, p_n, (1.0, 0.0, 0.0, 0.0))
 
     def message(self, t_us: int) -> Payload:
         """HOME_POSITION."""

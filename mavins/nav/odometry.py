@@ -1,4 +1,7 @@
-"""Pose and twist, the velocity seen from the vehicle, with covariances: what odometry is made of."""
+"""Pose and twist, the velocity seen from the vehicle, with covariances: what odometry is made of.
+
+Theory: docs/theory/outputs.md.
+"""
 
 from __future__ import annotations
 

@@ -152,7 +152,9 @@ def test_a_barometer_that_wanders() -> None:
         for t_us, x, P in rows[-40:]:
             k = int(np.searchsorted(m.truth.t_us, t_us))
             truth = true_state(m, k)
-            truth[X_BARO] = np.interp(t_us, m.truth.t_us[at], bias) - estimator._barometer.base
+            truth[X_BARO] = (
+                np.interp(t_us, m.truth.t_us[at], bias) - estimator._measuring.barometer.base
+            )
             e = boxminus(truth, x, estimator.filter.layout.columns)
             run.append(nees_of(e[which], P[np.ix_(which, which)]))
         values.append(run)

@@ -22,6 +22,9 @@ from mavins.mavlink.codec import (
     highres_imu,
 )
 from mavins.mavlink.session import Session
+from mavins.mavlink.vehicle import Vehicle
+from mavins.parameters import TABLE, ConfigStore, file_keeper
+from mavins.replay import tune
 from mavins.types import GnssFix, ImuSample
 
 pytestmark = pytest.mark.jit
@@ -45,7 +48,20 @@ HANDLED = (
     "COMMAND_INT",
     "HIL_STATE_QUATERNION",
     "SIM_STATE",
+    "LOCAL_POSITION_NED",
+    "COMMAND_ACK",
+    "TIMESYNC",
+    "PING",
+    "FILE_TRANSFER_PROTOCOL",
+    "PARAM_REQUEST_LIST",
+    "PARAM_REQUEST_READ",
+    "PARAM_SET",
+    "REQUEST_DATA_STREAM",
+    "MISSION_REQUEST_LIST",
+    "MISSION_COUNT",
+    "SETUP_SIGNING",
 )
+COMMANDS = (179, 241, 245, 246, 410, 510, 511, 512, 520, 611, 400)
 ADDRESSES = [(0, "127.0.0.1", 5000 + k) for k in range(3)] + [(0, "192.0.2.7", 14550)]
 _PARSER = dialect.MAVLink(None)
 _CONFIGS = {
@@ -53,6 +69,15 @@ _CONFIGS = {
     "gps2_raw": load(None, {"sources.gnss": "gps2_raw", "sources.heading": "gps_yaw"}),
     "gps_input": load(None, {"sources.gnss": "gps_input", "mavlink.max_peers": 2}),
     "hil_gps": load(None, {"sources.gnss": "hil_gps", "sources.heading": "gps_yaw"}),
+    "companion": load(
+        None,
+        {
+            "mavlink.persona": "companion",
+            "mavlink.route": True,
+            "autopilot_output.output": "odometry",
+            "monitor.enabled": True,
+        },
+    ),
     "gps_raw_int": load(
         None,
         {"sources.gnss": "gps_raw_int", "sources.vertical_velocity": "global_position_int"},
@@ -92,10 +117,33 @@ def arbitrary_packets(draw: st.DrawFn) -> bytes:
     return packet(id_of(name), payload, draw(sysids), compid, draw(small))
 
 
+numbers = st.one_of(
+    st.floats(width=32), st.sampled_from([0.0, 1.0, 2.0, -1.0, 30.0, 148.0, 1e5, 47.0, 8.0])
+)
+
+
+@st.composite
+def requests(draw: st.DrawFn) -> bytes:
+    """Something that is asked of us by name, sensible or not."""
+    if draw(st.booleans()):
+        params = draw(st.tuples(*[numbers] * 7))
+        message = dialect.MAVLink_command_long_message(
+            100, 1, draw(st.sampled_from(COMMANDS)), 0, *params
+        )
+    else:
+        name = draw(st.sampled_from([*TABLE, "NO_SUCH", ""])).encode()
+        message = dialect.MAVLink_param_set_message(100, 1, name, draw(numbers), 9)
+    return bytes(message.pack(dialect.MAVLink(None, 255, 190)))
+
+
 @st.composite
 def datagrams(draw: st.DrawFn) -> bytes:
     parts = draw(
-        st.lists(st.one_of(arbitrary_packets(), st.binary(max_size=40)), min_size=1, max_size=4)
+        st.lists(
+            st.one_of(arbitrary_packets(), requests(), st.binary(max_size=40)),
+            min_size=1,
+            max_size=4,
+        )
     )
     whole = b"".join(parts)
     if draw(st.booleans()):
@@ -132,7 +180,20 @@ class Harness:
             config.sources,
             lambda sysid: Estimator(config, config.filter, Outputs(20_000, self.count)),
             lambda address: isinstance(address, tuple) and str(address[1]).startswith("127."),
+            make_store=self.store,
+            monitor=config.monitor,
+            output=config.autopilot_output,
+            asking=config.asking,
         )
+
+    def store(self, vehicle: Vehicle) -> ConfigStore:
+        """Parameters that are put into force, and another filter too."""
+
+        def apply(config: Config) -> None:
+            tune(vehicle.intake, config)
+            vehicle.set_rates(config.streams)
+
+        return ConfigStore(self.config, apply, file_keeper(None))
 
     def count(self, block: Any, frame_n: Any) -> None:
         assert np.isfinite(block.x[: block.count]).all()
@@ -142,8 +203,12 @@ class Harness:
         self.now_us += after_us
         self.session.receive(data, address, self.now_us)
         self.session.tick(self.now_us)
+        ours = {vehicle.identity for vehicle in self.session.vehicles.values()}
         for out, _ in self.session.datagrams():
             message = _PARSER.decode(bytearray(out))
+            sender = (message.get_srcSystem(), message.get_srcComponent())
+            if self.config.mavlink.route and sender not in ours:
+                continue  # a packet of others that is passed on as it is
             for name in message.get_fieldnames():
                 value = getattr(message, name)
                 for item in value if isinstance(value, list) else [value]:

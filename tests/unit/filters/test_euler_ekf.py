@@ -14,7 +14,7 @@ from mavins.estimator.settings import HeadingSettings, Settings
 from mavins.filters import Filter, FilterSettings, FilterState, ImuNoise, RowBlock, make
 from mavins.filters.settings import EulerEkfSettings
 from mavins.nav.earth import TangentFrame, gravity_n
-from mavins.nav.layout import BLOCKS, X_SIZE, Layout, boxminus
+from mavins.nav.layout import BLOCKS, CANONICAL_SIZE, X_SIZE, Layout, boxminus
 from mavins.nav.linalg import gated_update
 from mavins.nav.so3 import euler_jacobian, euler_to_quat, quat_to_dcm, quat_to_euler
 from mavins.types import FloatArray, GnssFix, HeadingFix, Health, ImuTable, Origin
@@ -33,7 +33,7 @@ def flying(seed: int = 0, size: int = 15) -> FilterState:
     x[3:6] = rng.normal(size=3) * 10.0
     x[6:10] = euler_to_quat(rng.uniform(-1, 1), rng.uniform(-1, 1), rng.uniform(-3, 3))
     x[10:16] = rng.normal(size=6) * 0.01
-    scale = np.sqrt(np.concatenate([PRIOR, np.full(4, 0.1)])[:size])
+    scale = np.sqrt(np.concatenate([PRIOR, np.full(CANONICAL_SIZE - 15, 0.1)])[:size])
     A = rng.normal(size=(size, size))
     P = (A @ A.T / size + np.eye(size)) * scale[:, None] * scale
     u = np.concatenate([rng.normal(size=3) * 0.3, -quat_to_dcm(x[6:10]).T @ GRAVITY])

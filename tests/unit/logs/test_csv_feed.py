@@ -124,9 +124,9 @@ def test_a_magnetometer_aligns_a_folder_without_headings_and_a_barometer_holds_t
         aiding = summary["aiding"][name]
         assert aiding["accepted"] > 5
         assert aiding["rejected"] == {}
-    effective = (tmp_path / "out/eskf/config.yaml").read_text()
-    assert "enabled: auto" not in effective
-    assert "hard_iron: auto" not in effective
+    effective = load(tmp_path / "out/eskf/config.yaml").magnetometer
+    assert effective.enabled is True
+    assert effective.hard_iron != "auto"
 
 
 def test_settings_are_settled_by_what_the_folder_holds(tmp_path: Path) -> None:

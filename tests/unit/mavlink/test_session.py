@@ -138,7 +138,7 @@ def test_everyone_who_sends_is_told_everything(rig: Rig) -> None:
     told = rig.tick(1_000_000)
     for address in (HERE, THERE):
         kinds = [m.get_type() for m, to in told if to == address]
-        assert kinds == ["HEARTBEAT", "SYS_STATUS"]
+        assert kinds == ["HEARTBEAT", "SYS_STATUS", "EXTENDED_SYS_STATE"]
 
 
 def test_numbers_follow_each_other_for_each_peer(rig: Rig) -> None:
@@ -304,10 +304,12 @@ def test_everything_in_and_out_is_recorded(rig: Rig) -> None:
         "AUTOPILOT_VERSION",
         "HEARTBEAT",
         "SYS_STATUS",
+        "EXTENDED_SYS_STATE",
     ]
-    assert [t_us - NOW_US for _, t_us in recorded] == [1000, 2000, 2000, 2000, 1002000, 1002000]
+    stamps = [t_us - NOW_US for _, t_us in recorded]
+    assert stamps == [1000, 2000, 2000, 2000, 1002000, 1002000, 1002000]
     ours = [m.get_seq() for m, _ in recorded if m.get_srcSystem() == 100]
-    assert ours == [0, 1, 2, 3]
+    assert ours == [0, 1, 2, 3, 4]
 
 
 def test_damage_is_counted_and_nothing_of_it_recorded(rig: Rig) -> None:
@@ -333,9 +335,9 @@ def test_packets_go_out_at_once_where_there_is_a_way(make_estimator: Any) -> Non
     )
     session.receive(imu(), HERE, NOW_US)
     session.tick(NOW_US)
-    assert [address for _, address in sent] == [HERE, HERE]
+    assert [address for _, address in sent] == [HERE, HERE, HERE]
     assert session.datagrams() == []
-    assert session.packets_out == 2
+    assert session.packets_out == 3
 
 
 def test_a_connection_that_ends_frees_its_peer_and_its_vehicle(rig: Rig) -> None:

@@ -47,7 +47,8 @@ def some_other(parameter: Parameter, value: float) -> float:
         return parameter.low + (value == parameter.low)
     low = parameter.low if math.isfinite(parameter.low) else -1.0
     high = parameter.high if math.isfinite(parameter.high) else low + 1.0
-    return wire(low + 0.3 * (high - low))
+    other = wire(low + 0.3 * (high - low))
+    return other if other != value else wire(low + 0.4 * (high - low))
 
 
 def test_every_setting_is_a_parameter_or_excluded_with_a_reason() -> None:

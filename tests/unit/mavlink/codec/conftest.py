@@ -14,7 +14,7 @@ from mavins.estimator.solution import solution_of
 from mavins.filters import FilterState
 from mavins.mavlink.codec import Payload, frame
 from mavins.nav.earth import TangentFrame
-from mavins.nav.layout import CORE, Layout
+from mavins.nav.layout import CORE, X_SIZE, Layout
 from mavins.nav.so3 import euler_to_quat, quat_exp, quat_mul
 from mavins.types import FloatArray, Health, NavSolution, Origin
 
@@ -25,7 +25,7 @@ LAYOUT = Layout.of(CORE)
 def solution_at(error: FloatArray | None = None, health: Health = Health.RUNNING) -> NavSolution:
     """300 km from the origin, where n and l differ by 5 degrees; off by an error state (15,)."""
     rng = np.random.default_rng(5)
-    x, u = np.zeros(20), np.zeros(6)
+    x, u = np.zeros(X_SIZE), np.zeros(6)
     x[0:3] = (2.0e5, 2.2e5, -900.0)
     x[3:6] = (12.0, -7.0, 2.0)
     x[6:10] = euler_to_quat(0.3, -0.4, 2.0)

@@ -60,6 +60,12 @@ def solution(**changes: Any) -> NavSolution:
         "sd_l_b": np.zeros(3),
         "tau": 0.0,
         "sd_tau": 0.0,
+        "b_baro": 0.0,
+        "sd_b_baro": 0.0,
+        "b_m": np.zeros(3),
+        "sd_b_m": np.zeros(3),
+        "g_n": np.zeros(2),
+        "sd_g_n": np.zeros(2),
         "health": Health.RUNNING,
         "reset_counter": 258,
     }
