@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import functools
+import os
 import selectors
 import time
 from collections import Counter
@@ -28,6 +30,7 @@ from mavins.results import ResultWriter, check_folder, write_json, write_text
 from mavins.signing_store import Signing
 from mavins.snapshot import aiding_status, estimate_status
 from mavins.status import StatusSnapshot, VehicleStatus
+from mavins.status_socket import StatusSocket
 from mavins.transports.base import Link
 from mavins.warmup import not_ready
 
@@ -79,6 +82,7 @@ class Service:
         status: Callable[[StatusSnapshot], None] | None = None,
         signing: Signing | None = None,
         config_path: Path | None = None,
+        status_socket: StatusSocket | None = None,
     ) -> None:
         self._config = config
         self._config_path = config_path
@@ -87,6 +91,7 @@ class Service:
         self._buffers: dict[Address, StreamBuffer] = {}
         self._out = out
         self._status = status
+        self._status_socket = status_socket
         self._watches: dict[int, Watch] = {}
         self._recorder = recording
         self._signing = signing
@@ -122,10 +127,14 @@ class Service:
         selector = selectors.DefaultSelector()
         try:
             for index, link in enumerate(self._links):
-                selector.register(link.fileno(), selectors.EVENT_READ, index)
+                drain = functools.partial(self._drain, index)
+                selector.register(link.fileno(), selectors.EVENT_READ, drain)
+            if self._status_socket is not None:
+                answer = self._status_socket.answer
+                selector.register(self._status_socket, selectors.EVENT_READ, answer)
             while not stopped():
                 for key, _ in selector.select(max(0.0, next_tick - time.monotonic())):
-                    self._drain(key.data)
+                    key.data()
                 now = time.monotonic()
                 if now >= next_tick:
                     next_tick = now + TICK_S
@@ -134,11 +143,20 @@ class Service:
                 if now >= next_status:
                     next_status = now + STATUS_S
                     self._flush()
-                    if self._status is not None:
-                        self._status(self.snapshot(now))
+                    self._show(now)
         finally:
             selector.close()
             self.close()
+
+    def _show(self, now: float) -> None:
+        """Show a snapshot to all that want one."""
+        if self._status is None and self._status_socket is None:
+            return
+        snapshot = self.snapshot(now)
+        if self._status_socket is not None:
+            self._status_socket.show(snapshot)
+        if self._status is not None:
+            self._status(snapshot)
 
     def _tick(self) -> None:
         """What is due by the clock."""
@@ -271,6 +289,7 @@ class Service:
             dropped=self._dropped(),
             remarks=self.session.asking.remarks,
             vehicles=tuple(self._vehicle_status(v, now) for v in self.session.vehicles.values()),
+            pid=os.getpid(),
         )
 
     def _vehicle_status(self, vehicle: Vehicle, now: float) -> VehicleStatus:
@@ -302,6 +321,8 @@ class Service:
         with contextlib.ExitStack() as stack:
             for link in self._links:
                 stack.callback(link.close)
+            if self._status_socket is not None:
+                stack.callback(self._status_socket.close)
             if self._signing is not None:
                 stack.callback(self._signing.close)
             if self._recorder is not None:

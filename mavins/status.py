@@ -117,7 +117,7 @@ class VehicleStatus:
 class StatusSnapshot:
     """The service at one instant: `uptime` in s; `dropped` counts what was not used, by reason.
 
-    `remarks` say what is wrong with what autopilots send, and what to do about it.
+    `remarks` say what is wrong with what autopilots send, and what to do about it; `pid` is the service's process.
     """
 
     uptime: float
@@ -127,6 +127,7 @@ class StatusSnapshot:
     dropped: Mapping[str, int] = field(default_factory=dict)
     vehicles: tuple[VehicleStatus, ...] = ()
     remarks: tuple[str, ...] = ()
+    pid: int | None = None
 
 
 def to_json(snapshot: StatusSnapshot) -> str:

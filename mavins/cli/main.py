@@ -21,6 +21,10 @@ from mavins.errors import MavinsError
 
 COMMANDS: Final[dict[str, tuple[str, str]]] = {
     "serve": ("mavins.cli.serve", "run the navigation service on live MAVLink"),
+    "status": (
+        "mavins.cli.status_command",
+        "show the status of the service that runs on this host",
+    ),
     "sitl": ("mavins.cli.sitl", "fly the simulator: sensors and truth as MAVLink"),
     "replay": ("mavins.cli.replay", "run the estimator on a log"),
     "compare": ("mavins.cli.compare", "run several filters on the same samples"),

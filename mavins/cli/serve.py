@@ -15,6 +15,7 @@ from mavins.cli import record, signing
 
 if TYPE_CHECKING:
     from mavins.service import Address
+    from mavins.status_socket import StatusSocket
     from mavins.transports.base import Link, Say
     from mavins.transports.urls import LinkUrl
 
@@ -144,6 +145,7 @@ def run(args: argparse.Namespace) -> int:
             renderer.update,
             signing.signing_of(args),
             args.config,
+            _status_socket(say),
         )
         for link in links:
             print(link.announcement, flush=True)
@@ -157,6 +159,18 @@ def run(args: argparse.Namespace) -> int:
         for number, handler in before.items():
             signal.signal(number, handler)
     return 0
+
+
+def _status_socket(say: Say) -> StatusSocket | None:
+    """Where `mavins status` asks; a service serves without, too."""
+    from mavins.errors import TransportError
+    from mavins.status_socket import StatusSocket
+
+    try:
+        return StatusSocket()
+    except TransportError as error:
+        say(f"mavins status will not find this service: {error}")
+        return None
 
 
 def _overrides(args: argparse.Namespace) -> dict[str, Any]:

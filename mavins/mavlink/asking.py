@@ -108,6 +108,8 @@ class Autopilot:
         for wish in self.wishes:
             if wish.is_imu and intake.imu.chosen is not None:
                 wish.rename(intake.imu.name)
+            elif wish.is_gnss and intake.sources is not None:
+                wish.rename(intake.sources.receiver)
         return intake.clock.newest_us
 
     def tick(self, now_us: int, vehicle_us: int | None) -> Iterator[Said]:

@@ -18,8 +18,10 @@ from mavins.mavlink.codec import (
     command_ack,
     message_interval,
 )
-from mavins.mavlink.codec.decode import MAX_ALTITUDE
+from mavins.mavlink.codec.checks import MAX_ALTITUDE
+from mavins.mavlink.codec.component_metadata import COMPONENT_METADATA, component_metadata
 from mavins.mavlink.data_streams import REQUEST_DATA_STREAM, set_data_stream
+from mavins.mavlink.files import GENERAL, crc32, files_of, uri
 from mavins.mavlink.microservice import Reply, Request
 from mavins.mavlink.parameters import ParameterStore, changes_since, values_of
 from mavins.mavlink.streams import MSGIDS, Home
@@ -50,8 +52,8 @@ FAILED: Final = 4
 _WARNING: Final = 4
 """Of MAV_SEVERITY."""
 
-_CAPABILITIES: Final = 0x8 | 0x2000 | 0x20000
-"""COMMAND_INT, MAVLINK2 and PARAM_ENCODE_C_CAST."""
+_CAPABILITIES: Final = 0x8 | 0x20 | 0x2000 | 0x20000
+"""COMMAND_INT, FTP, MAVLINK2 and PARAM_ENCODE_C_CAST."""
 _AUTOPILOT_VERSION: Final = 148
 _HOME_POSITION: Final = 242
 _MESSAGE_INTERVAL: Final = 244
@@ -164,11 +166,22 @@ def _message(msgid: int, vehicle: Vehicle, address: Hashable, command: Command) 
         return ACCEPTED, [autopilot_version(_CAPABILITIES, version, vehicle.identity.sysid)]
     if msgid == _MESSAGE_INTERVAL:
         return _interval(command.number_in(2), vehicle, address)
+    if msgid == COMPONENT_METADATA:
+        return _metadata(vehicle)
     name = MSGIDS.get(msgid)
     if name is None:
         return UNSUPPORTED, []
     payload = vehicle.telemetry()[name]
     return (TEMPORARILY_REJECTED, []) if payload is None else (ACCEPTED, [payload])
+
+
+def _metadata(vehicle: Vehicle) -> Answer:
+    """Where the description of the parameters begins."""
+    general = files_of(vehicle.parameters.store.described()).get(GENERAL)
+    if general is None:
+        return UNSUPPORTED, []
+    t_us = vehicle.estimator.t_us or 0
+    return ACCEPTED, [component_metadata(t_us, crc32(general), uri(GENERAL))]
 
 
 def _set_interval(command: Command, vehicle: Vehicle, address: Hashable) -> Answer:

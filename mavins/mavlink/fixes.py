@@ -21,6 +21,7 @@ REMEMBERED: Final = 50
 _SLACK: Final = 0.95
 """Stamps on a grid must not fall just short of the highest rate."""
 _ATTITUDE_ID: Final = fields_of("ATTITUDE").msgid
+_RECEIVER_IDS: Final = frozenset(fields_of(name).msgid for name in ("GPS_RAW_INT", "GPS2_RAW"))
 _GLOBAL_POSITION_ID: Final = fields_of("GLOBAL_POSITION_INT").msgid
 _NEVER_USED: Final = frozenset((fields_of("LOCAL_POSITION_NED").msgid,))
 """Only looked at, by the monitor."""
@@ -44,6 +45,7 @@ class Fixes:
         self.last: GnssFix | None = None
         self.handlers: dict[str, Callable[[Any, int], None]] = {
             "GPS_RAW_INT": self._gps_raw,
+            "GPS2_RAW": self._gps_raw,
             "GLOBAL_POSITION_INT": self._global_position,
             "GPS_INPUT": self._gps_input,
             "HIL_GPS": self._hil_gps,
@@ -72,7 +74,7 @@ class Fixes:
         self._sources = sources
         rate = sources.heading_rate
         self._heading_gap_us = 0.0 if rate is None else _SLACK * 1e6 / rate
-        idle = set(_NEVER_USED)
+        idle = {*_NEVER_USED, *(_RECEIVER_IDS - {fields_of(sources.receiver).msgid})}
         if sources.heading != "attitude":
             idle.add(_ATTITUDE_ID)
         if sources.gnss != "global_position_int" and not sources.vertical_velocity:
@@ -107,13 +109,13 @@ class Fixes:
     def _gps_raw(self, message: GpsRaw, received_us: int) -> None:
         sources = self._sources
         if sources is None:
-            self._dropped["GPS_RAW_INT before HEARTBEAT"] += 1
+            self._dropped[f"{message.kind} before HEARTBEAT"] += 1
             return
         if sources.heading == "gps_yaw" and message.yaw is not None and message.fix_type >= 3:
             self._use_heading(message, message.yaw, message.hdg_acc, "gps_yaw", received_us)
         self._quality = message
         self._quality_us = received_us
-        if sources.gnss != "gps_raw_int":
+        if sources.gnss not in ("gps_raw_int", "gps2_raw"):
             return
         v_l = None
         if message.speed is not None and message.course is not None:

@@ -43,6 +43,7 @@ _OTHER_IDS: Final = np.array(
             "HEARTBEAT",
             "SYSTEM_TIME",
             "GPS_RAW_INT",
+            "GPS2_RAW",
             "GLOBAL_POSITION_INT",
             "GPS_INPUT",
             "HIL_GPS",

@@ -36,6 +36,9 @@ class ParameterStore(Protocol):
     def refuses(self, name: str, value: float) -> bool:
         """True where `set` would raise; nothing is changed."""
 
+    def described(self) -> bytes:
+        """What the parameters are, as a file that ground stations read; empty where there is none."""
+
     def save(self) -> str:
         """Keep all values for the next start; returns why that failed, or nothing."""
 
@@ -62,6 +65,10 @@ class NoParameters:
     def refuses(self, name: str, value: float) -> bool:
         """Always."""
         return True
+
+    def described(self) -> bytes:
+        """There is nothing to describe."""
+        return b""
 
     def save(self) -> str:
         """Nothing to save."""

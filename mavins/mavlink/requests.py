@@ -8,6 +8,7 @@ from pymavlink.dialects.v20 import all as dialect
 
 from mavins.mavlink.codec import Frames, fields_of
 from mavins.mavlink.commands import CHANGING, COMMAND_INT, COMMAND_LONG, Commands
+from mavins.mavlink.ftp import FileTransfer
 from mavins.mavlink.microservice import Microservice
 from mavins.mavlink.parameter_service import Parameters
 from mavins.mavlink.parameters import PARAM_SET
@@ -15,7 +16,12 @@ from mavins.mavlink.peers import Identity
 from mavins.mavlink.small_talk import SmallTalk
 
 SET_GPS_GLOBAL_ORIGIN: Final = fields_of("SET_GPS_GLOBAL_ORIGIN").msgid
-MICROSERVICES: Final[tuple[Microservice, ...]] = (Commands(), Parameters(), SmallTalk())
+MICROSERVICES: Final[tuple[Microservice, ...]] = (
+    Commands(),
+    Parameters(),
+    FileTransfer(),
+    SmallTalk(),
+)
 """All protocols that we answer in, each a module and a line here."""
 BY_MSGID: Final = {msgid: service for service in MICROSERVICES for msgid in service.msgids}
 REQUESTS: Final = frozenset((*BY_MSGID, SET_GPS_GLOBAL_ORIGIN))

@@ -141,7 +141,7 @@ class AskingSettings:
     imu_rate: Annotated[WishedRate, Doc("HIGHRES_IMU, or the IMU message that is used.", "Hz")] = (
         200.0
     )
-    gnss_rate: Annotated[WishedRate, Doc("GPS_RAW_INT.", "Hz")] = 5.0
+    gnss_rate: Annotated[WishedRate, Doc("GPS_RAW_INT, or the receiver that is used.", "Hz")] = 5.0
     attitude_rate: Annotated[WishedRate, Doc("ATTITUDE.", "Hz")] = 10.0
     position_rate: Annotated[WishedRate, Doc("GLOBAL_POSITION_INT.", "Hz")] = 5.0
     system_time_rate: Annotated[WishedRate, Doc("SYSTEM_TIME.", "Hz")] = 1.0

@@ -1,6 +1,6 @@
-"""Small protocols that ground stations expect an answer to: PING, TIMESYNC, file transfer, missions.
+"""Small protocols that ground stations expect an answer to: PING, TIMESYNC, missions.
 
-We have no files and no missions. Who asks for them is told so at once; otherwise each ground station waits and asks
+We have no missions. Who asks for them is told so at once; otherwise each ground station waits and asks
 again. Source: the MAVLink developer guide; what clients do: docs/reference/clients.md.
 """
 
@@ -15,7 +15,6 @@ from mavins.mavlink.vehicle import Vehicle
 
 PING: Final = fields_of("PING")
 TIMESYNC: Final = fields_of("TIMESYNC")
-FTP: Final = fields_of("FILE_TRANSFER_PROTOCOL")
 MISSION_REQUEST_LIST: Final = fields_of("MISSION_REQUEST_LIST")
 MISSION_COUNT: Final = fields_of("MISSION_COUNT")
 MISSION_ACK: Final = fields_of("MISSION_ACK")
@@ -24,8 +23,6 @@ _MISSION_ITEMS: Final = tuple(
     fields_of(name).msgid for name in ("MISSION_REQUEST", "MISSION_REQUEST_INT")
 )
 
-_NAK: Final = 129
-_FILE_NOT_FOUND: Final = 10
 _MISSION_ACCEPTED: Final = 0
 _MISSION_UNSUPPORTED: Final = 3
 _MISSION_INVALID_SEQUENCE: Final = 13
@@ -38,7 +35,6 @@ class SmallTalk:
         (
             PING.msgid,
             TIMESYNC.msgid,
-            FTP.msgid,
             MISSION_REQUEST_LIST.msgid,
             MISSION_COUNT.msgid,
             MISSION_CLEAR_ALL.msgid,
@@ -54,8 +50,6 @@ class SmallTalk:
             answer = _ping(message, request.sender)
         elif msgid == TIMESYNC.msgid:
             answer = _timesync(message, request.now_us)
-        elif msgid == FTP.msgid:
-            answer = _refuse_file(message, request.sender)
         else:
             answer = _mission(message, request.sender)
         if answer is not None:
@@ -81,22 +75,6 @@ def _ping(message: Any, sender: tuple[int, int]) -> Payload | None:
 def _timesync(message: Any, now_us: int) -> Payload | None:
     """Our time for theirs; tc1 = 0 marks a request."""
     return None if message.tc1 else payload(TIMESYNC, tc1=now_us * 1000, ts1=message.ts1)
-
-
-def _refuse_file(message: Any, sender: tuple[int, int]) -> Payload | None:
-    """NAK of whatever was asked: there is no such file.
-
-    The header of a request: sequence (2), session (1), opcode (1), size (1), opcode answered (1), burst (1), padding
-    (1), offset (4), data.
-    """
-    asked = bytes(message.payload)
-    opcode = asked[3]
-    if opcode >= 128:
-        return None  # an answer
-    sequence = (int.from_bytes(asked[:2], "little") + 1) % 65536
-    header = sequence.to_bytes(2, "little") + bytes((asked[2], _NAK, 1, opcode, 0, 0)) + asked[8:12]
-    body = (header + bytes((_FILE_NOT_FOUND,))).ljust(251, b"\0")
-    return payload(FTP, target_system=sender[0], target_component=sender[1], payload=tuple(body))
 
 
 def _mission(message: Any, sender: tuple[int, int]) -> Payload:

@@ -12,7 +12,7 @@ ARDUPILOT: Final = 3
 PX4: Final = 12
 """Numbers of MAV_AUTOPILOT whose ATTITUDE and GLOBAL_POSITION_INT are a filter's output, not a sensor's."""
 
-GnssSource = Literal["gps_raw_int", "global_position_int", "gps_input", "hil_gps"]
+GnssSource = Literal["gps_raw_int", "global_position_int", "gps_input", "hil_gps", "gps2_raw"]
 HeadingSource = Literal["attitude", "gps_yaw", "off"]
 VerticalSource = Literal["global_position_int", "off"]
 
@@ -24,19 +24,21 @@ class SourceSettings:
     gnss: Annotated[
         Literal["auto"] | GnssSource,
         Doc(
-            "Position and velocity; auto: gps_raw_int from PX4 and ArduPilot, else global_position_int."
+            "Position and velocity; auto: gps_raw_int from PX4 and ArduPilot, else global_position_int; "
+            "gps2_raw: an autopilot's second receiver."
         ),
     ] = "auto"
     vertical_velocity: Annotated[
         Literal["auto"] | VerticalSource,
         Doc(
-            "Vertical velocity beside GPS_RAW_INT, which has none; auto: off, because an autopilot's "
+            "Vertical velocity beside GPS_RAW_INT and GPS2_RAW, which have none; auto: off, because an autopilot's "
             "GLOBAL_POSITION_INT is the output of its own filter."
         ),
     ] = "auto"
-    heading: Annotated[Literal["auto"] | HeadingSource, Doc("Heading; auto: ATTITUDE.yaw.")] = (
-        "auto"
-    )
+    heading: Annotated[
+        Literal["auto"] | HeadingSource,
+        Doc("Heading; auto: ATTITUDE.yaw; gps_yaw: two antennas of the receiver that is used."),
+    ] = "auto"
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +52,11 @@ class Sources:
     utc_delay: float
     heading_delay: float
     heading_rate: float | None
+
+    @property
+    def receiver(self) -> str:
+        """The message of the autopilot's receiver that is looked at; the other one is not."""
+        return "GPS2_RAW" if self.gnss == "gps2_raw" else "GPS_RAW_INT"
 
 
 def resolve(

@@ -17,6 +17,7 @@ from mavins.mavlink.codec import (
     heartbeat,
     statustext,
 )
+from mavins.mavlink.files import OpenFiles
 from mavins.mavlink.intake import Intake
 from mavins.mavlink.monitor import Monitor
 from mavins.mavlink.parameters import VehicleParameters
@@ -108,6 +109,7 @@ class Vehicle:
     timeout_us: int = 3_000_000
     persona: Persona = "vehicle"
     parameters: VehicleParameters = field(default_factory=VehicleParameters)
+    opened: OpenFiles = field(default_factory=OpenFiles)
     monitor: Monitor | None = None
     output: AutopilotOutput | None = None
     vibration: Vibration = field(default_factory=Vibration)

@@ -30,6 +30,7 @@ _HEAVY: Final = 4000.0
 """Bytes per second from which a serial line may be too slow for a message."""
 _ARDUPILOT_STREAMS: Final = {
     "GPS_RAW_INT": "SRx_EXT_STAT",
+    "GPS2_RAW": "SRx_EXT_STAT",
     "ATTITUDE": "SRx_EXTRA1",
     "GLOBAL_POSITION_INT": "SRx_POSITION",
     "SYSTEM_TIME": "SRx_EXTRA3",
@@ -68,6 +69,11 @@ class Wish:
     def rate(self) -> float:
         """The rate that is asked for, or was granted, in Hz."""
         return self.rates[self.step]
+
+    @property
+    def is_gnss(self) -> bool:
+        """True for the message of a receiver of the autopilot's."""
+        return self.name in ("GPS_RAW_INT", "GPS2_RAW")
 
     def grant(self, now_us: int) -> None:
         """The autopilot has accepted it; what comes is counted from now on."""
@@ -178,7 +184,7 @@ def fix_for(autopilot: int, wish: Wish, denied: bool = False) -> str:
         fix = f"set the autopilot's rate of {wish.name}"
     if denied:
         return fix
-    if wish.name == "GPS_RAW_INT":
+    if wish.is_gnss:
         fix += ", or the receiver has no more"
     bytes_per_second = (fields_of(wish.name).min_length + 12) * wish.rates[0]
     if bytes_per_second < _HEAVY:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import os
 import tempfile
 from collections.abc import Callable
@@ -10,6 +11,7 @@ from pathlib import Path
 
 from mavins.config import Config, to_yaml
 from mavins.errors import ParameterError
+from mavins.parameters.metadata import metadata
 from mavins.parameters.table import TABLE, get, put
 
 Keeper = Callable[[Config], str]
@@ -51,6 +53,11 @@ def _replace(path: Path, text: str) -> None:
         os.fsync(folder)
     finally:
         os.close(folder)
+
+
+@functools.cache
+def _described() -> bytes:
+    return metadata(Config())
 
 
 class ConfigStore:
@@ -105,6 +112,10 @@ class ConfigStore:
         if wanted is not self.config and (reason := self._objection(wanted)):
             raise ParameterError(f"{name}: {reason}")
         return wanted
+
+    def described(self) -> bytes:
+        """The table with the defaults of the program."""
+        return _described()
 
     def save(self) -> str:
         """Keep the configuration for the next start; returns why that failed, or nothing."""

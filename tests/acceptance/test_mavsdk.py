@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import itertools
+import json
 from collections.abc import Callable
 from typing import Any
 
@@ -207,5 +208,21 @@ def test_it_lists_and_sets_parameters(tap: Callable[[], Any], client: Callable[.
     assert unknown["failed"] == "DOES_NOT_EXIST"
     # without an answer it asks again for three seconds
     assert unknown["took"] < 1.5
+    nothing_is_repeated(line)
+    assert line.lost() == 0
+
+
+def test_it_learns_what_the_parameters_are(
+    tap: Callable[[], Any], client: Callable[..., Any]
+) -> None:
+    line = tap()
+    url = f"udpout://127.0.0.1:{line.port}"
+    events = client("mavsdk_client.py", url, "metadata").events(60.0)
+    described = json.loads(outcome(events, "found")["value"]["json_metadata"])
+    assert [one["name"] for one in described["parameters"]] == list(TABLE)
+    for burst in (True, False):
+        (read,) = (e["text"] for e in events if e["kind"] == "file" and e["burst"] is burst)
+        assert json.loads(read) == described
+        assert outcome(events, f"same {burst}")["value"] is True
     nothing_is_repeated(line)
     assert line.lost() == 0

@@ -38,6 +38,7 @@ HANDLED = (
     "SCALED_IMU3",
     "RAW_IMU",
     "GPS_RAW_INT",
+    "GPS2_RAW",
     "GLOBAL_POSITION_INT",
     "GPS_INPUT",
     "HIL_GPS",
@@ -65,6 +66,7 @@ ADDRESSES = [(0, "127.0.0.1", 5000 + k) for k in range(3)] + [(0, "192.0.2.7", 1
 _PARSER = dialect.MAVLink(None)
 _CONFIGS = {
     "auto": Config(),
+    "gps2_raw": load(None, {"sources.gnss": "gps2_raw", "sources.heading": "gps_yaw"}),
     "gps_input": load(None, {"sources.gnss": "gps_input", "mavlink.max_peers": 2}),
     "hil_gps": load(None, {"sources.gnss": "hil_gps", "sources.heading": "gps_yaw"}),
     "companion": load(

@@ -104,6 +104,13 @@ class GpsRaw:
 
 
 @dataclass(frozen=True, slots=True)
+class Gps2Raw(GpsRaw):
+    """GPS2_RAW: the same of an autopilot's second receiver."""
+
+    kind: ClassVar[str] = "GPS2_RAW"
+
+
+@dataclass(frozen=True, slots=True)
 class GlobalPosition:
     """GLOBAL_POSITION_INT: position (rad, rad, m above mean sea level), NED velocity m/s, heading
     rad.

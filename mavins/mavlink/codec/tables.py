@@ -10,15 +10,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from mavins.mavlink.codec.decode import (
-    ACCEL_AND_GYRO,
-    MAX_ACCEL,
-    MAX_GYRO,
-    MILLI,
-    SCALED_KINDS,
-    SI,
-    STAMP_LIMIT,
-)
+from mavins.mavlink.codec.checks import MAX_ACCEL, MAX_GYRO, STAMP_LIMIT
+from mavins.mavlink.codec.decode import ACCEL_AND_GYRO, MILLI, SCALED_KINDS, SI
 from mavins.mavlink.codec.fields import Fields, fields_of
 from mavins.mavlink.codec.framing import Frames, gather
 from mavins.mavlink.codec.messages import IMU_KINDS, ImuRows

@@ -6,11 +6,15 @@ import asyncio
 import enum
 import json
 import sys
+import tempfile
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable
+from pathlib import Path
 from typing import Any
 
 from mavsdk.asyncio import ComponentType, Configuration, Mavsdk, System
+from mavsdk.asyncio.plugins.component_metadata import ComponentMetadataAsync
+from mavsdk.asyncio.plugins.ftp import FtpAsync
 from mavsdk.asyncio.plugins.info import InfoAsync
 from mavsdk.asyncio.plugins.param import ParamAsync
 from mavsdk.asyncio.plugins.telemetry import TelemetryAsync
@@ -123,7 +127,28 @@ async def parameters(system: System) -> None:
     await attempt("unknown", source.get_param_float, "NO_SUCH_NAME")
 
 
-TASKS = {"telemetry": [info, telemetry, rates], "parameters": [parameters]}
+async def metadata(system: System) -> None:
+    """Find out what the parameters are, and read the file by bursts and piece by piece."""
+    source = ComponentMetadataAsync(system)
+    updates = source.subscribe_metadata_available()
+    first = asyncio.create_task(anext(updates))
+    await source.request_autopilot_component()
+    await attempt("found", asyncio.wait_for, first, 20.0)
+    files = FtpAsync(system)
+    for burst in (True, False):
+        with tempfile.TemporaryDirectory() as folder:
+            async for _ in files.download("/parameter.json", folder, burst):
+                pass
+            file = Path(folder) / "parameter.json"
+            say("file", burst=burst, text=file.read_text("utf-8"))
+            await attempt(f"same {burst}", files.are_files_identical, str(file), "/parameter.json")
+
+
+TASKS = {
+    "telemetry": [info, telemetry, rates],
+    "parameters": [parameters],
+    "metadata": [metadata],
+}
 
 
 async def main(url: str, task: str) -> None:

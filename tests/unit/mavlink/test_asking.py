@@ -36,7 +36,7 @@ IMU_ID = 105
 STEP_US = 2_000
 ALL = {"imu": 250.0, "gnss": 5.0, "attitude": 10.0, "position": 5.0, "time": 1.0}
 ONLY_IMU = AskingSettings(gnss_rate=0, attitude_rate=0, position_rate=0, system_time_rate=0)
-MESSAGES = {105: "imu", 24: "gnss", 30: "attitude", 33: "position", 2: "time"}
+MESSAGES = {105: "imu", 24: "gnss", 124: "gnss2", 30: "attitude", 33: "position", 2: "time"}
 
 
 class Autopilot:
@@ -72,6 +72,9 @@ class Autopilot:
         made = {
             "imu": lambda: highres_imu(ImuSample(t_us, np.array([0.0, 0, -9.8]), np.zeros(3))),
             "gnss": lambda: gps_raw_int(fix),
+            "gnss2": lambda: payload(
+                fields_of("GPS2_RAW"), time_usec=t_us, fix_type=3, lat=1, lon=1
+            ),
             "attitude": lambda: attitude(t_us, 0.0, 0.0, 0.0, (0.0, 0.0, 0.0)),
             "position": lambda: global_position_int(t_us, 0.8, 0.1, 4.0, 0.0, (0, 0, 0), None),
             "time": lambda: system_time(START_US + t_us, t_us),
@@ -104,12 +107,17 @@ class Autopilot:
 class Rig:
     """A session, its ground station, and autopilots on a clock of their own."""
 
-    def __init__(self, make_estimator: Any, settings: AskingSettings = ONLY_IMU) -> None:
+    def __init__(
+        self,
+        make_estimator: Any,
+        settings: AskingSettings = ONLY_IMU,
+        sources: SourceSettings = SourceSettings(),  # noqa: B008
+    ) -> None:
         self.now_us = START_US
         self.session = Session(
             SessionSettings(),
             StreamSettings(),
-            SourceSettings(),
+            sources,
             lambda sysid: make_estimator(),
             asking=settings,
         )
@@ -390,6 +398,18 @@ def test_a_slow_simulation_keeps_its_own_rates(rig: Rig) -> None:
     assert autopilot.asked == []
 
 
+def test_the_receiver_that_is_used_is_asked_for(make_estimator: Any) -> None:
+    settings = AskingSettings(attitude_rate=0, position_rate=0, system_time_rate=0)
+    rig = Rig(make_estimator, settings, SourceSettings(gnss="gps2_raw"))
+    autopilot = Autopilot(**(ALL | {"gnss": 5.0, "gnss2": 1.0}))
+    rig.run(8.0, autopilot)
+    assert autopilot.asked == [(124, 5.0)]
+    assert autopilot.rates["gnss2"] == 5.0
+    summary = rig.session.asking.autopilots[1].summary()
+    assert summary["messages"]["GPS2_RAW"]["state"] == "coming"
+    assert "GPS_RAW_INT" not in summary["messages"]
+
+
 def test_intervals_are_whole_milliseconds() -> None:
     wishes = wishes_of(AskingSettings(imu_rate=300.0))
     assert [wish.name for wish in wishes][:2] == ["HIGHRES_IMU", "GPS_RAW_INT"]
@@ -404,6 +424,7 @@ def test_intervals_are_whole_milliseconds() -> None:
     [
         (ARDUPILOT, "HIGHRES_IMU", 250.0, ["SCHED_LOOP_RATE to 250", "18.5 kB/s: 230400 baud"]),
         (ARDUPILOT, "GPS_RAW_INT", 5.0, ["SRx_EXT_STAT", "receiver"]),
+        (ARDUPILOT, "GPS2_RAW", 5.0, ["SRx_EXT_STAT", "receiver"]),
         (PX4, "HIGHRES_IMU", 100.0, ["mavlink stream -s HIGHRES_IMU -r 100", "115200 baud"]),
         (0, "ATTITUDE", 10.0, ["rate of ATTITUDE"]),
     ],

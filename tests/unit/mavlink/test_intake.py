@@ -20,11 +20,13 @@ from mavins.mavlink.codec import (
     Frames,
     Payload,
     attitude,
+    fields_of,
     frame,
     global_position_int,
     gps_raw_int,
     heartbeat,
     highres_imu,
+    payload,
     scan_tlog,
     system_time,
 )
@@ -129,6 +131,14 @@ def raw(t_us: int, **changes: Any) -> Payload:
         "sigma_speed": 0.1,
     }
     return gps_raw_int(GnssFix(**(values | changes)))
+
+
+def second(t_us: int, **changes: Any) -> Payload:
+    """GPS2_RAW with what `raw` says, field by field as GPS_RAW_INT has it."""
+    first = raw(t_us, **changes)
+    fields = fields_of("GPS_RAW_INT")
+    named = zip(fields.names, fields.unpacker.unpack(first.body), strict=True)
+    return payload(fields_of("GPS2_RAW"), **dict(named), dgps_age=7_000, dgps_numch=3)
 
 
 def place(t_us: int, v_d: float = 1.0) -> Payload:
@@ -269,6 +279,60 @@ class TestSources:
         assert (first.fix_type, first.satellites) == (3, 12)
         assert (first.sigma_h, first.sigma_v, first.sigma_speed) == pytest.approx((0.5, 0.8, 0.1))
         assert second.v_l is None
+
+    def both(self, line: Line, stamps: range) -> Line:
+        """Fixes of both receivers at each stamp; those of the second say 50 m more of everything."""
+        for t_us in stamps:
+            line.put(imu(t_us), t_us)
+            line.put(raw(t_us, alt=400.0, satellites=12), t_us)
+            line.put(second(t_us, alt=450.0, satellites=17), t_us)
+        line.run()
+        return line
+
+    @pytest.mark.parametrize(
+        ("source", "kind", "alt", "satellites"),
+        [
+            ("auto", "GPS_RAW_INT", 400.0, 12),
+            ("gps_raw_int", "GPS_RAW_INT", 400.0, 12),
+            ("gps2_raw", "GPS2_RAW", 450.0, 17),
+        ],
+    )
+    def test_one_of_two_receivers(
+        self, source: str, kind: str, alt: float, satellites: int
+    ) -> None:
+        stamps = range(1_004_000, 2_000_000, 200_000)
+        line = self.both(Line(gnss=source).start(ARDUPILOT), stamps)
+        fixes = line.ear.of("gnss")
+        assert [fix.t_us for fix in fixes] == list(stamps)
+        assert {(fix.source, fix.satellites) for fix in fixes} == {(kind, satellites)}
+        assert fixes[0].alt == pytest.approx(alt)
+        assert (fixes[0].lat, fixes[0].lon) == pytest.approx((0.8, 0.1), abs=1e-8)
+        assert fixes[0].v_l[:2] == pytest.approx((3.0, 4.0), abs=0.02)
+        assert (fixes[0].sigma_h, fixes[0].sigma_v, fixes[0].sigma_speed) == (0.5, 0.8, 0.1)
+        assert (fixes[0].fix_type, fixes[0].delay) == (3, 0.14)
+        assert line.intake.dropped.total() == 0
+
+    def test_the_other_receiver_in_flight(self) -> None:
+        line = self.both(Line().start(PX4), range(1_004_000, 2_000_000, 200_000))
+        settings = line.ear.settings
+        line.intake.reconfigure(settings, "eskf", SourceSettings(gnss="gps2_raw"))
+        self.both(line, range(2_004_000, 3_000_000, 200_000))
+        sources = [fix.source for fix in line.ear.of("gnss")]
+        assert sources == ["GPS_RAW_INT"] * 5 + ["GPS2_RAW"] * 5
+
+    def test_the_second_receiver_before_the_autopilot_is_known(self) -> None:
+        line = Line(gnss="gps2_raw")
+        line.put(imu(1_000_000), 1_000_000)
+        line.put(second(1_000_000), 1_000_000)
+        assert line.run().of("gnss") == []
+        assert line.intake.dropped["GPS2_RAW before HEARTBEAT"] == 1
+
+    def test_the_second_receiver_lends_nothing(self) -> None:
+        line = Line(gnss="global_position_int").start()
+        line.put(second(1_000_000), 1_000_000)
+        line.put(place(1_000_000), 1_000_000)
+        assert line.run().of("gnss") == []
+        assert line.intake.dropped["GLOBAL_POSITION_INT without GPS_RAW_INT"] == 1
 
     def test_vertical_velocity_beside_it_where_asked_for(self) -> None:
         line = Line(vertical_velocity="global_position_int").start(PX4)

@@ -40,21 +40,6 @@ def test_our_time_for_theirs() -> None:
     assert talk(dialect.MAVLink_timesync_message(5, 987654321)) == []
 
 
-@pytest.mark.parametrize("opcode", [0, 3, 4, 15, 127])
-def test_there_are_no_files(opcode: int) -> None:
-    asked = [0xFF, 0xFF, 9, opcode, 3, 0, 0, 0, 4, 0, 0, 0, 65, 66, 67]
-    message = dialect.MAVLink_file_transfer_protocol_message(0, 100, 1, asked + [0] * 236)
-    (answer,) = talk(message)
-    assert answer.payload[:6] == [0, 0, 9, 129, 1, opcode]
-    assert answer.payload[12] == 10
-    assert answer.target_system == 255
-
-
-def test_an_answer_about_files_is_not_answered() -> None:
-    asked = [0, 0, 0, 129, *[0] * 247]
-    assert talk(dialect.MAVLink_file_transfer_protocol_message(0, 100, 1, asked)) == []
-
-
 @pytest.mark.parametrize("kind", [0, 1, 2])
 def test_lists_are_empty_and_cannot_be_written(kind: int) -> None:
     (answer,) = talk(dialect.MAVLink_mission_request_list_message(100, 1, kind))

@@ -157,9 +157,10 @@ def test_many_rows_are_bit_for_bit_the_single_ones(
 
 
 class TestGnss:
-    def test_gps_raw_int(self) -> None:
+    @pytest.mark.parametrize("name", ["GPS_RAW_INT", "GPS2_RAW"])
+    def test_a_receiver(self, name: str) -> None:
         fix = message(
-            "GPS_RAW_INT",
+            name,
             **GPS,
             time_usec=9,
             vel=525,
@@ -173,6 +174,7 @@ class TestGnss:
             yaw=9000,
         )
         assert isinstance(fix, GpsRaw)
+        assert fix.kind == name
         assert math.degrees(fix.lat) == pytest.approx(47.3977432, abs=1e-12)
         assert math.degrees(fix.lon) == pytest.approx(8.5455944, abs=1e-12)
         assert fix.alt == pytest.approx(489.4)
@@ -184,10 +186,11 @@ class TestGnss:
         assert fix.hdg_acc == pytest.approx(math.radians(2.0))
         assert fix.yaw == pytest.approx(math.pi / 2)
 
-    def test_what_the_receiver_does_not_know_is_none(self) -> None:
+    @pytest.mark.parametrize("name", ["GPS_RAW_INT", "GPS2_RAW"])
+    def test_what_the_receiver_does_not_know_is_none(self, name: str) -> None:
         for unknown in (0, U32):
             fix = message(
-                "GPS_RAW_INT",
+                name,
                 **(GPS | {"satellites_visible": 255}),
                 vel=U16,
                 cog=U16,
@@ -199,17 +202,17 @@ class TestGnss:
                 hdg_acc=unknown,
                 yaw=U16 if unknown else 0,
             )
-            for name in ("speed", "course", "satellites", "eph", "epv"):
-                assert getattr(fix, name) is None
-            for name in ("h_acc", "v_acc", "vel_acc", "hdg_acc", "yaw"):
-                assert getattr(fix, name) is None
+            for field in ("speed", "course", "satellites", "eph", "epv"):
+                assert getattr(fix, field) is None
+            for field in ("h_acc", "v_acc", "vel_acc", "hdg_acc", "yaw"):
+                assert getattr(fix, field) is None
 
     def test_yaw_north_is_36000(self) -> None:
         assert message("GPS_RAW_INT", **GPS, yaw=36000).yaw == 0.0
         assert message("HIL_GPS", **GPS, yaw=36000).yaw == 0.0
         assert message("GPS_INPUT", lat=1, lon=1, fix_type=3, yaw=36000).yaw == 0.0
 
-    @pytest.mark.parametrize("name", ["GPS_RAW_INT", "HIL_GPS"])
+    @pytest.mark.parametrize("name", ["GPS_RAW_INT", "GPS2_RAW", "HIL_GPS"])
     @pytest.mark.parametrize(
         ("change", "reason"),
         [
@@ -389,7 +392,10 @@ class TestTruth:
 
 
 @given(
-    st.sampled_from(["HIGHRES_IMU", "GPS_INPUT", "ATTITUDE", "GPS_RAW_INT", "SIM_STATE"]), st.data()
+    st.sampled_from(
+        ["HIGHRES_IMU", "GPS_INPUT", "ATTITUDE", "GPS_RAW_INT", "GPS2_RAW", "SIM_STATE"]
+    ),
+    st.data(),
 )
 @settings(deadline=None)
 def test_any_payload_whatever_gives_an_answer(name: str, data: st.DataObject) -> None:

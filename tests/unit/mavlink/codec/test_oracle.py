@@ -22,6 +22,7 @@ MESSAGES = [
     "SCALED_IMU3",
     "RAW_IMU",
     "GPS_RAW_INT",
+    "GPS2_RAW",
     "GLOBAL_POSITION_INT",
     "GPS_INPUT",
     "HIL_GPS",
@@ -176,6 +177,7 @@ def test_a_field_that_does_not_exist_is_our_mistake() -> None:
     [
         ("HIGHRES_IMU", 62, 63),
         ("GPS_RAW_INT", 30, 52),
+        ("GPS2_RAW", 35, 57),
         ("SCALED_IMU", 22, 24),
         ("RAW_IMU", 26, 29),
         ("HIL_GPS", 36, 39),
