@@ -190,7 +190,8 @@ class Tap:
 
     def lost(self) -> int:
         """How many packets of the service are missing by their sequence numbers."""
-        numbers = [message.get_seq() for _, message in self.from_service()]
+        # in the bytes, because pymavlink gives messages that its dialect lacks the number 0
+        numbers = [message.get_msgbuf()[4] for _, message in self.from_service()]
         return sum((b - a - 1) % 256 for a, b in itertools.pairwise(numbers))
 
     def not_taken(self) -> int:
@@ -237,7 +238,7 @@ def request_key(message: Any) -> tuple[Any, ...] | None:
         return kind, message.param_id, message.param_index
     if kind == "FILE_TRANSFER_PROTOCOL":
         data = bytes(message.payload)
-        return kind, data[3], data[12 : 12 + data[4]]
+        return kind, data[3], data[8 : 12 + data[4]]
     return None
 
 
