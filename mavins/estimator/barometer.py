@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from mavins.estimator.settings import BaroSettings
+from mavins.estimator.aiding_settings import BaroSettings
 from mavins.types import BaroSample
 
 _SLACK: Final = 0.95

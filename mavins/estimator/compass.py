@@ -13,8 +13,8 @@ from typing import Final
 import numpy as np
 
 from mavins.errors import ConfigError
+from mavins.estimator.aiding_settings import MagnetometerSettings
 from mavins.estimator.alignment import level
-from mavins.estimator.settings import MagnetometerSettings
 from mavins.nav.earth import TangentFrame
 from mavins.nav.so3 import euler_to_quat, quat_to_dcm
 from mavins.types import FloatArray, MagSample

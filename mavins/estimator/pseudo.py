@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 
 from mavins.aiding import Measurement, gravity_tilt, nonholonomic
+from mavins.estimator.aiding_settings import GravityTiltSettings, NonholonomicSettings
 from mavins.estimator.buffer import ImuBuffer
-from mavins.estimator.settings import GravityTiltSettings, NonholonomicSettings
 from mavins.estimator.standing import HALF_WINDOW_US, mean_rows
 from mavins.nav.earth import TangentFrame, gravity_n
 from mavins.types import FloatArray

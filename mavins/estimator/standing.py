@@ -9,8 +9,8 @@ import math
 
 import numpy as np
 
+from mavins.estimator.aiding_settings import ZeroVelocitySettings
 from mavins.estimator.buffer import ImuBuffer
-from mavins.estimator.settings import ZeroVelocitySettings
 from mavins.nav.kernels import kernel
 from mavins.types import FloatArray
 

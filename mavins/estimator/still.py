@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavins.aiding.detectors import AdaptiveThreshold, Detector
+from mavins.estimator.aiding_settings import ZeroVelocitySettings
 from mavins.estimator.buffer import ImuBuffer
 from mavins.estimator.imu_rows import TICK_US
-from mavins.estimator.settings import ZeroVelocitySettings
 from mavins.estimator.standing import StandingDetector, mean_rows
 from mavins.nav.earth import TangentFrame, gravity_n
 from mavins.types import FloatArray, IntArray

@@ -8,8 +8,9 @@ from typing import TypeVar
 
 import numpy as np
 
+from mavins.estimator.aiding_settings import MagnetometerSettings
 from mavins.estimator.feed import Feed
-from mavins.estimator.settings import MagnetometerSettings, Settings
+from mavins.estimator.settings import Settings
 from mavins.logs.csv_folder import CsvFolder
 from mavins.logs.mag_calibration import calibrate
 from mavins.nav.so3 import euler_to_quat, quat_to_dcm

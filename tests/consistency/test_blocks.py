@@ -11,13 +11,9 @@ import numpy as np
 import pytest
 
 from mavins.config import Config
+from mavins.estimator.aiding_settings import BaroSettings, MagnetometerSettings
 from mavins.estimator.estimator import Estimator, Outputs
-from mavins.estimator.settings import (
-    BaroSettings,
-    MagnetometerSettings,
-    Settings,
-    StatesSettings,
-)
+from mavins.estimator.settings import Settings, StatesSettings
 from mavins.evaluation.consistency import band
 from mavins.examples.scenarios import matched, origin_of
 from mavins.filters import RowBlock

@@ -12,15 +12,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
+from mavins.estimator.aiding_settings import MagnetometerSettings
 from mavins.estimator.estimator import Estimator, Outputs
 from mavins.estimator.fusion import Event
-from mavins.estimator.settings import (
-    GnssSettings,
-    HeadingSettings,
-    MagnetometerSettings,
-    Settings,
-    StatesSettings,
-)
+from mavins.estimator.settings import GnssSettings, HeadingSettings, Settings, StatesSettings
 from mavins.filters import REGISTRY, RowBlock
 from mavins.nav.earth import TangentFrame
 from mavins.types import BaroSample, FloatArray, GnssFix, HeadingFix, ImuTable, MagSample

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
+from mavins.estimator.aiding_settings import BaroSettings
 from mavins.estimator.barometer import Barometer
-from mavins.estimator.settings import BaroSettings
 from mavins.types import BaroSample
 
 STEP_US = 1_000_000

@@ -11,10 +11,11 @@ import pytest
 from numpy.testing import assert_allclose
 
 from mavins.errors import ConfigError
+from mavins.estimator.aiding_settings import MagnetometerSettings
 from mavins.estimator.aligner import Aligner
 from mavins.estimator.buffer import ImuBuffer
 from mavins.estimator.compass import Compass, levelled, world_magnetic_model
-from mavins.estimator.settings import MagnetometerSettings, Settings
+from mavins.estimator.settings import Settings
 from mavins.nav.earth import TangentFrame
 from mavins.nav.so3 import euler_to_quat, quat_to_dcm
 from mavins.types import GnssFix, MagSample, Origin

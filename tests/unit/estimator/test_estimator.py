@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from mavins.estimator.estimator import Estimator
-from mavins.estimator.settings import (
+from mavins.estimator.aiding_settings import (
     GravityTiltSettings,
-    ImuSettings,
     NonholonomicSettings,
-    Settings,
     ZeroVelocitySettings,
 )
+from mavins.estimator.estimator import Estimator
+from mavins.estimator.settings import ImuSettings, Settings
 from mavins.nav.earth import TangentFrame
 from mavins.nav.so3 import euler_to_quat, quat_to_dcm
 from mavins.types import GnssFix, HeadingFix, Health, ImuTable, NavSolution, Origin

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from mavins.estimator.aiding_settings import GravityTiltSettings, NonholonomicSettings
 from mavins.estimator.buffer import ImuBuffer
 from mavins.estimator.pseudo import gravity_tilt_at, nonholonomic_at
-from mavins.estimator.settings import GravityTiltSettings, NonholonomicSettings
 from mavins.nav.earth import TangentFrame
 from mavins.types import Origin
 

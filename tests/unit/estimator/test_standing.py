@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from mavins.estimator.aiding_settings import ZeroVelocitySettings
 from mavins.estimator.buffer import ImuBuffer
-from mavins.estimator.settings import ZeroVelocitySettings
 from mavins.estimator.standing import StandingDetector, mean_rows
 
 REST = np.array([0.002, -0.001, 0.003, 0.1, -0.2, -9.8])

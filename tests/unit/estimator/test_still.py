@@ -8,8 +8,8 @@ import math
 import numpy as np
 import pytest
 
+from mavins.estimator.aiding_settings import ZeroVelocitySettings
 from mavins.estimator.buffer import ImuBuffer
-from mavins.estimator.settings import ZeroVelocitySettings
 from mavins.estimator.standing import StandingDetector
 from mavins.estimator.still import EVERY_US, StillDetector, still_detector
 from mavins.nav.earth import TangentFrame

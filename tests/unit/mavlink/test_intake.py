@@ -10,12 +10,8 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import all as dialect
 
-from mavins.estimator.settings import (
-    GnssSettings,
-    HeadingSettings,
-    MagnetometerSettings,
-    Settings,
-)
+from mavins.estimator.aiding_settings import MagnetometerSettings
+from mavins.estimator.settings import GnssSettings, HeadingSettings, Settings
 from mavins.mavlink.codec import (
     Frames,
     Payload,
