@@ -42,7 +42,7 @@ def goes_well(console: Any, line: Any) -> None:
     # a machine with too much to do lets it be late; what it was too late for is not lost on the way
     late = line.not_taken()
     assert line.lost() == 0
-    assert int(state[1]) > 500
+    assert int(state[1]) > 100  # it asks for 4 Hz of each stream
     assert int(state[2]) <= late
     assert late or float(state[3]) == 0.0
     text = str(console.text)

@@ -38,7 +38,7 @@ WITHOUT_THEORY = {"__init__", "base", "kernels", "many", "settings", "walking"}
 
 _LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
 _CODE = re.compile(r"`([^`\n]+)`")
-_PATH = re.compile(r"(?:mavins|sitl|docs|tests)/[\w./-]*")
+_PATH = re.compile(r"(?<![\w/.-])(?:mavins|sitl|docs|tests)/[\w./-]*")
 
 
 def page_id(page: Path) -> str:
