@@ -57,7 +57,7 @@ def compile_all(report: Report, filter_name: str = "eskf") -> None:
     cold = compiles() and not is_cached(filter_name)
     started = time.monotonic()
     if cold:
-        report("compiling the kernels (first start only, up to a minute) ...")
+        report("compiling the kernels (first start only, a minute or two) ...")
         if CACHE is not None:
             for stage in STAGES:
                 _in_a_process(stage, filter_name, report)
