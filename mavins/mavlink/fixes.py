@@ -128,17 +128,7 @@ class Fixes:
             if sources.vertical_velocity and vertical is not None:
                 fresh = abs(received_us - vertical[0]) <= VERTICAL_US
                 v_l = (v_l[0], v_l[1], vertical[1] if fresh else math.nan)
-        self._use_fix(
-            message,
-            message.alt,
-            v_l,
-            message.fix_type,
-            message.satellites,
-            message.h_acc,
-            message.v_acc,
-            message.vel_acc,
-            received_us,
-        )
+        self._use_fix(message, message.alt, v_l, message, received_us)
 
     def _global_position(self, message: GlobalPosition, received_us: int) -> None:
         sources = self._sources
@@ -150,47 +140,17 @@ class Fixes:
             self._dropped["GLOBAL_POSITION_INT without GPS_RAW_INT"] += 1
             return
         v_l = message.v_l if sources.vertical_velocity else (*message.v_l[:2], math.nan)
-        self._use_fix(
-            message,
-            message.alt,
-            v_l,
-            quality.fix_type,
-            quality.satellites,
-            quality.h_acc,
-            quality.v_acc,
-            quality.vel_acc,
-            received_us,
-        )
+        self._use_fix(message, message.alt, v_l, quality, received_us)
 
     def _gps_input(self, message: GpsInput, received_us: int) -> None:
         if self._sources is None or self._sources.gnss != "gps_input" or message.alt is None:
             return
-        self._use_fix(
-            message,
-            message.alt,
-            message.v_l,
-            message.fix_type,
-            message.satellites,
-            message.h_acc,
-            message.v_acc,
-            message.vel_acc,
-            received_us,
-        )
+        self._use_fix(message, message.alt, message.v_l, message, received_us)
 
     def _hil_gps(self, message: HilGps, received_us: int) -> None:
         if self._sources is None or self._sources.gnss != "hil_gps":
             return
-        self._use_fix(
-            message,
-            message.alt,
-            message.v_l,
-            message.fix_type,
-            message.satellites,
-            None,
-            None,
-            None,
-            received_us,
-        )
+        self._use_fix(message, message.alt, message.v_l, message, received_us)
 
     def _attitude(self, message: Attitude, received_us: int) -> None:
         if self._sources is not None and self._sources.heading == "attitude":
@@ -201,14 +161,10 @@ class Fixes:
         message: GpsRaw | GlobalPosition | GpsInput | HilGps,
         alt: float,
         v_l: tuple[float, float, float] | None,
-        fix_type: int,
-        satellites: int | None,
-        sigma_h: float | None,
-        sigma_v: float | None,
-        sigma_speed: float | None,
+        quality: GpsRaw | GpsInput | HilGps,
         received_us: int,
     ) -> None:
-        """Hand a fix over, once per stamp."""
+        """Hand a fix over, once per stamp; `quality` is the message that says how good it is."""
         assert self._sources is not None
         if message.stamp_us in self._fix_stamps:
             self._dropped[f"{message.kind} repeated stamp"] += 1
@@ -217,6 +173,8 @@ class Fixes:
         if t_us is None:
             return
         self._fix_stamps.append(message.stamp_us)
+        # HIL_GPS tells no accuracies
+        accuracy = None if isinstance(quality, HilGps) else quality
         utc = is_unix(message.stamp_us) and not is_unix(self._clock.newest_us or 0)
         fix = GnssFix(
             t_us=t_us,
@@ -224,11 +182,11 @@ class Fixes:
             lon=message.lon,
             alt=alt,
             v_l=v_l,
-            fix_type=fix_type,
-            satellites=satellites,
-            sigma_h=sigma_h,
-            sigma_v=sigma_v,
-            sigma_speed=sigma_speed,
+            fix_type=quality.fix_type,
+            satellites=quality.satellites,
+            sigma_h=None if accuracy is None else accuracy.h_acc,
+            sigma_v=None if accuracy is None else accuracy.v_acc,
+            sigma_speed=None if accuracy is None else accuracy.vel_acc,
             source=message.kind,
             delay=self._sources.utc_delay if utc else self._sources.gnss_delay,
         )

@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import selectors
 import time
+from abc import ABC, abstractmethod
 from collections import Counter, deque
 from collections.abc import Callable, Collection
 from typing import Final
@@ -191,7 +192,7 @@ class StreamTransport:
         self._fd = -1
 
 
-class Reconnecting(StreamTransport):
+class Reconnecting(StreamTransport, ABC):
     """A stream to one other side, which is opened again whenever it ends."""
 
     def __init__(
@@ -220,9 +221,9 @@ class Reconnecting(StreamTransport):
         if self._fd >= 0 and not self.is_open and self._clock() >= self._next_attempt:
             self._attempt()
 
+    @abstractmethod
     def _attempt(self) -> None:
         """Begin to open the stream; ends in `_add` or in `_failed`."""
-        raise NotImplementedError
 
     def _failed(self, why: str) -> None:
         if not self._was_told:
