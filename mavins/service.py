@@ -42,14 +42,6 @@ Address = tuple[int, str, int]
 """Which of our links, and the host and port at its other end."""
 
 
-def is_local(address: Hashable) -> bool:
-    """True for an address on this host; a socket of both families writes IPv4 as ::ffff:127.0.0.1."""
-    if not isinstance(address, tuple):
-        return False
-    host = str(address[1])
-    return host.removeprefix("::ffff:").startswith("127.") or host == "::1"
-
-
 def check_outputs(config: Config, out: Path | None, record: Path | None) -> None:
     """OutputError where results or a recording could not be written, long before there are any."""
     if out is not None:
