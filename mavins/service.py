@@ -24,13 +24,15 @@ from mavins.mavlink.session import Session
 from mavins.mavlink.signing import Verdict, takes_unsigned
 from mavins.mavlink.stream_buffer import StreamBuffer
 from mavins.mavlink.vehicle import Vehicle
+from mavins.outcome import summarize
 from mavins.parameters import ConfigStore, file_keeper
-from mavins.replay import grid_us, summarize, tune
+from mavins.replay import grid_us
 from mavins.results import ResultWriter, check_folder, write_json, write_text
 from mavins.signing_store import Signing
 from mavins.snapshot import aiding_status, estimate_status
 from mavins.status import StatusSnapshot, VehicleStatus
 from mavins.status_socket import StatusSocket
+from mavins.tlog_source import tune
 from mavins.transports.base import Link
 from mavins.warmup import not_ready
 

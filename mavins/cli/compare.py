@@ -85,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
     drawn: Truth | None = None
     with progress_bar(f"compare {Path(args.source).name}", 1.0, quiet=quiet) as report:
         if is_log(args.source):
-            from mavins.replay import tape_of
+            from mavins.sources import tape_of
 
             tape, truth = tape_of(Path(args.source), config, args.sysid)
             flights = [(tape.settings, tape, truth)]

@@ -115,7 +115,7 @@ def course_of(args: argparse.Namespace, config: Config) -> tuple[Settings, Cours
     """The course of a scenario or a log, and the settings that go with it."""
     if is_log(args.source):
         from mavins.evaluation.course import estimated
-        from mavins.replay import tape_of
+        from mavins.sources import tape_of
 
         tape, _ = tape_of(Path(args.source), config)
         course = estimated(tape)

@@ -25,9 +25,6 @@ examples:
 writes: OUT/<filter>/estimates.csv, innovations.csv, config.yaml and OUT/summary.json;
 with --smooth also OUT/<filter>/smoothed.csv"""
 
-REFERENCE = "reference.csv"
-"""What another filter said, not a truth."""
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
@@ -98,14 +95,14 @@ def lines_of(summary: dict[str, Any], out: Path) -> list[str]:
         nis = aiding.get("nis_per_row")
         shown = "" if nis is None else f", NIS {nis:.3g} per row (1 where the noise is right)"
         lines.append(f"  {name}: {aiding['accepted']} fused, rejected: {rejected}{shown}")
-    truth = summary.get("truth")
-    if truth and "rms" in truth:
-        word = "difference to" if truth["source"] == REFERENCE else "error against"
-        lines.append(f"{word} {truth['source']}     RMS                      max")
-        lines += _errors_of(truth)
-        if "rms" in summary.get("smoothed", {}):
-            lines.append("smoothed")
-            lines += _errors_of(summary["smoothed"])
+    for key, words in (("truth", "error against"), ("reference", "difference to")):
+        judged = summary.get(key, {})
+        if "rms" in judged:
+            lines.append(f"{words} {judged['source']}     RMS                      max")
+            lines += _errors_of(judged)
+    if "rms" in summary.get("smoothed", {}):
+        lines.append("smoothed")
+        lines += _errors_of(summary["smoothed"])
     lines.append(f"written to {out}")
     return lines
 

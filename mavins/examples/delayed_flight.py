@@ -20,7 +20,7 @@ from mavins.examples.base import Figure
 from mavins.filters import RowBlock
 from mavins.nav.earth import TangentFrame
 from mavins.nav.layout import X_TAU
-from mavins.replay import tape_of
+from mavins.sources import tape_of
 from mavins.types import FloatArray, IntArray
 
 NAME: Final = "ap_copter_square_circle.tlog.xz"

@@ -20,8 +20,9 @@ from mavins.estimator.solution import EULER, LLA, V_L, WIDTH, describe
 from mavins.evaluation.errors import Errors, errors_against
 from mavins.examples.base import Figure, needed
 from mavins.filters import REGISTRY, RowBlock
-from mavins.logs.csv_feed import feed_folder, settled
-from mavins.logs.csv_folder import CsvFolder, read_csv_folder
+from mavins.logs.csv_folder import read_csv_folder
+from mavins.logs.feeding import feed_log, settled
+from mavins.logs.sensor_log import SensorLog
 from mavins.nav.earth import TangentFrame
 from mavins.results import write_json
 from mavins.types import FloatArray, Health, IntArray
@@ -76,16 +77,16 @@ class _Rows:
         return np.concatenate(self._t), np.concatenate(self._rows)
 
 
-def fly(folder: CsvFolder, settings: Settings, name: str, min_speed: float) -> tuple[Errors, str]:
+def fly(folder: SensorLog, settings: Settings, name: str, min_speed: float) -> tuple[Errors, str]:
     """One filter through one flight: differences to its reference, and what went wrong, if anything."""
     kept = _Rows()
     estimator = Estimator(settings, name, Outputs(GRID_US, kept.take))
-    feed_folder(folder, estimator, settings, lambda _: None)
+    feed_log(folder, estimator, settings, lambda _: None)
     estimator.finish()
     t_us, rows = kept.table()
     fast = np.hypot(rows[:, 6], rows[:, 7]) >= min_speed
     t_us, rows = t_us[fast], rows[fast]
-    truth = folder.truth
+    truth = folder.reference
     assert truth is not None
     errors = errors_against(t_us, rows[:, LLA], rows[:, V_L], rows[:, EULER], truth.columns())
     trouble = estimator.loss

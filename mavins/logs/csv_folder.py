@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -16,6 +15,7 @@ import numpy as np
 
 from mavins.errors import LogFormatError
 from mavins.logs.csv_table import CsvTable, find_table, read_table
+from mavins.logs.sensor_log import DEFAULT, Choice, SensorLog
 from mavins.logs.truth import Truth
 from mavins.nav.so3 import euler_to_quat
 from mavins.types import BaroSample, FloatArray, GnssFix, HeadingFix, ImuTable, MagSample
@@ -40,37 +40,7 @@ COLUMNS: Final[dict[str, tuple[tuple[str, ...], tuple[str, ...]]]] = {
 """Table -> (needed, optional) columns, beside the stamp `t_us` in microseconds."""
 
 
-@dataclass(frozen=True, slots=True)
-class CsvFolder:
-    """What a folder holds, each in the order of its stamps; `dropped` counts the rows that hold no reading."""
-
-    imu: ImuTable
-    gnss: list[GnssFix]
-    headings: list[HeadingFix]
-    mag: list[MagSample]
-    baro: list[BaroSample]
-    truth: Truth | None
-    dropped: Counter[str]
-
-    @property
-    def counts(self) -> dict[str, int]:
-        """How many readings there are of each kind."""
-        sizes = {
-            "imu": len(self.imu),
-            "gnss": len(self.gnss),
-            "heading": len(self.headings),
-            "mag": len(self.mag),
-            "baro": len(self.baro),
-        }
-        return {f"{name}.csv": n for name, n in sizes.items() if n}
-
-    @property
-    def seconds(self) -> float:
-        """How long the IMU was recorded."""
-        return float(self.imu.t_us[-1] - self.imu.t_us[0]) * 1e-6
-
-
-def read_csv_folder(folder: Path) -> CsvFolder:
+def read_csv_folder(folder: Path, choice: Choice = DEFAULT) -> SensorLog:
     """Read all tables of a folder; LogFormatError where there is no IMU, or one is damaged."""
     dropped: Counter[str] = Counter()
     tables = {name: _table(folder, name, dropped) for name in COLUMNS}
@@ -79,15 +49,17 @@ def read_csv_folder(folder: Path) -> CsvFolder:
         raise LogFormatError(f"{folder} holds no imu.csv: nothing to estimate from")
     if not len(imu):
         raise LogFormatError(f"{imu.path} has no IMU samples")
-    judge = "reference" if tables["truth"] is None else "truth"
-    return CsvFolder(
+    return SensorLog(
         ImuTable(imu.t_us, imu.stack(*_ACCEL), imu.stack(*_GYRO)),
         [] if gnss is None else _fixes(gnss),
         _headings(tables["heading"]),
         _mags(tables["mag"]),
         _baros(tables["baro"]),
-        _truth(tables[judge]),
+        _truth(tables["truth"]),
+        _truth(tables["reference"]),
+        {name: f"{name}.csv" for name, table in tables.items() if table is not None},
         dropped,
+        {},
     )
 
 

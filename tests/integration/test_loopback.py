@@ -43,6 +43,7 @@ RATES = {
     "HOME_POSITION": 0.5,
 }
 ESTIMATES = set(RATES) - {"HEARTBEAT", "SYS_STATUS", "EXTENDED_SYS_STATE"}
+"""On the vehicle's clock; the others are due by the service's own."""
 
 
 @dataclass
@@ -143,11 +144,15 @@ def streams_arrive_at_their_rates(peer: Peer) -> None:
     assert last - running > 8.0
     for kind in ESTIMATES:
         assert kinds[kind][0][0] >= running - 0.05, f"{kind} before the filter runs"
-    for kind, rate in RATES.items():
-        count = sum(running < t <= last for t, _ in kinds[kind])
-        # a simulator that is held up at its start catches up; a period more or less at the ends
-        assert count == pytest.approx(rate * (last - running), rel=0.04, abs=1.6), kind
-    # on the vehicle's boot clock: it starts at 1 s, and each stream's stamps lie on its grid
+    # whoever is held up on a busy machine catches up on the vehicle's clock; a period more or less at the ends
+    span = (kinds["ATTITUDE"][-1][1].time_boot_ms - kinds["ATTITUDE"][0][1].time_boot_ms) * 1e-3
+    for kind in ESTIMATES:
+        assert len(kinds[kind]) == pytest.approx(RATES[kind] * span, abs=2.0), kind
+    # by its own clock a service that was held up goes on, and makes up for nothing
+    for kind in RATES.keys() - ESTIMATES:
+        gaps = [b - a for (a, _), (b, _) in itertools.pairwise(kinds[kind])]
+        assert statistics.median(gaps) == pytest.approx(1.0 / RATES[kind], abs=0.15), kind
+    # the boot clock starts at 1 s, and each stream's stamps lie on its grid
     for kind in ("LOCAL_POSITION_NED", "ATTITUDE", "ATTITUDE_QUATERNION"):
         stamps = [m.time_boot_ms for _, m in kinds[kind]]
         assert 1000 < stamps[0] < 10_000
@@ -156,13 +161,13 @@ def streams_arrive_at_their_rates(peer: Peer) -> None:
 
 
 def status_lines_tell_of_the_flight(lines: list[str]) -> None:
-    snapshots = [json.loads(line) for line in lines]
+    snapshots = [s for line in lines if (s := json.loads(line))["vehicles"]]
     assert len(snapshots) > 10
     vehicle = snapshots[-1]["vehicles"][0]
     assert vehicle["sysid"] == 1
     assert vehicle["health"] == "running"
     # a machine that is held up for a moment shows it in the rate of that moment
-    rates = [line["vehicles"][0]["rates"].get("HIGHRES_IMU", 0) for line in snapshots[5:]]
+    rates = [line["vehicles"][0]["rates"].get("HIGHRES_IMU", 0) for line in snapshots[3:]]
     assert statistics.median(rates) == pytest.approx(250, abs=25)
     assert vehicle["aidings"]["gnss_position"]["fused"] > 30
     assert math.hypot(*vehicle["error"]["pos"]) < 2.0

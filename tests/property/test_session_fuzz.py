@@ -24,7 +24,7 @@ from mavins.mavlink.codec import (
 from mavins.mavlink.session import Session
 from mavins.mavlink.vehicle import Vehicle
 from mavins.parameters import TABLE, ConfigStore, file_keeper
-from mavins.replay import tune
+from mavins.tlog_source import tune
 from mavins.types import GnssFix, ImuSample
 
 pytestmark = pytest.mark.jit

@@ -31,8 +31,10 @@ from mavins.mavlink.parameters import set_again
 from mavins.mavlink.requests import decode_packet
 from mavins.mavlink.settings import SessionSettings
 from mavins.parameters import ConfigStore, file_keeper
-from mavins.replay import ReplayOptions, grid_us, our_identity, replay, tape_of, tune, vehicle_of
+from mavins.replay import ReplayOptions, grid_us, replay
 from mavins.results import ResultWriter
+from mavins.sources import tape_of
+from mavins.tlog_source import our_identity, tune, vehicle_of
 from mavins.types import GnssFix, ImuSample, TruthSample
 
 # a flight through the estimator takes minutes where nothing is compiled

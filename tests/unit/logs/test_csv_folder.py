@@ -58,11 +58,11 @@ def test_all_tables(tmp_path: Path) -> None:
     assert log.mag[0].field.tolist() == [268.0, -9.0, -552.0]
     assert [sample.alt for sample in log.baro] == [237.2]
     assert [(fix.yaw, fix.sigma) for fix in log.headings] == [(1.5, None), (1.6, 0.02)]
-    assert log.truth is not None
-    assert log.truth.source == "reference.csv"
-    assert np.isnan(log.truth.lla[0, 0])
-    assert np.isnan(log.truth.v_l[0]).all()
-    assert_allclose(quat_to_euler(log.truth.q_lb[1]), [0.1, -0.2, -3.1])
+    assert log.reference is not None
+    assert log.reference.source == "reference.csv"
+    assert np.isnan(log.reference.lla[0, 0])
+    assert np.isnan(log.reference.v_l[0]).all()
+    assert_allclose(quat_to_euler(log.reference.q_lb[1]), [0.1, -0.2, -3.1])
     assert log.dropped == {
         "imu all zero": 1,
         "mag all zero": 1,
@@ -81,11 +81,13 @@ def test_all_tables(tmp_path: Path) -> None:
     }
 
 
-def test_truth_goes_before_a_reference(tmp_path: Path) -> None:
+def test_a_truth_and_a_reference(tmp_path: Path) -> None:
     folder_of(tmp_path, truth="t_us,yaw\n0,1\n", reference="t_us,yaw\n0,2\n")
     log = read_csv_folder(tmp_path)
     assert log.truth is not None
     assert log.truth.source == "truth.csv"
+    assert log.reference is not None
+    assert log.reference.source == "reference.csv"
     assert np.isnan(log.truth.q_lb).all()
 
 
@@ -168,10 +170,10 @@ def test_the_flights_are_read(shared: Callable[[str], Path]) -> None:
     assert (len(fixed_wing.imu), len(fixed_wing.gnss)) == (34811, 674)
     assert fixed_wing.dropped["imu all zero"] == 1
     assert fixed_wing.dropped["mag all zero"] == 1
-    assert fixed_wing.truth is not None
-    assert int(np.isnan(fixed_wing.truth.lla[:, 0]).sum()) == 2282
+    assert fixed_wing.reference is not None
+    assert int(np.isnan(fixed_wing.reference.lla[:, 0]).sum()) == 2282
     copter = read_csv_folder(shared("data/flights/quad_apm_122a"))
     assert (len(copter.imu), len(copter.gnss), len(copter.mag)) == (18004, 2001, 3619)
     assert all(fix.satellites is None for fix in copter.gnss)
-    assert copter.truth is not None
-    assert np.isnan(copter.truth.v_l).all()
+    assert copter.reference is not None
+    assert np.isnan(copter.reference.v_l).all()

@@ -1,4 +1,4 @@
-"""A folder of CSV files into an estimator: every reading at its stamp, as if it came in at that instant."""
+"""A log of sensors into an estimator: every reading at its stamp, as if it came in at that instant."""
 
 from __future__ import annotations
 
@@ -11,36 +11,36 @@ import numpy as np
 from mavins.estimator.aiding_settings import MagnetometerSettings
 from mavins.estimator.feed import Feed
 from mavins.estimator.settings import Settings
-from mavins.logs.csv_folder import CsvFolder
 from mavins.logs.mag_calibration import calibrate
+from mavins.logs.sensor_log import SensorLog
 from mavins.nav.so3 import euler_to_quat, quat_to_dcm
 from mavins.types import BaroSample, GnssFix, HeadingFix, ImuTable, MagSample
 
 SettingsT = TypeVar("SettingsT", bound=Settings)
 
 
-def settled(settings: SettingsT, folder: CsvFolder) -> SettingsT:
-    """The settings with what is `auto` decided by what the folder holds, the magnetometer's calibration included."""
+def settled(settings: SettingsT, log: SensorLog) -> SettingsT:
+    """The settings with what is `auto` decided by what the log holds, the magnetometer's calibration included."""
     delay = 0.0 if settings.gnss.delay == "auto" else settings.gnss.delay
     return replace(
         settings,
         gnss=replace(settings.gnss, delay=delay),
-        magnetometer=_magnetometer(settings, folder),
+        magnetometer=_magnetometer(settings, log),
     )
 
 
-def _magnetometer(settings: Settings, folder: CsvFolder) -> MagnetometerSettings:
+def _magnetometer(settings: Settings, log: SensorLog) -> MagnetometerSettings:
     s = settings.magnetometer
-    enabled = s.enabled if s.enabled != "auto" else not folder.headings
-    if not folder.mag or not enabled:
+    enabled = s.enabled if s.enabled != "auto" else not log.headings
+    if not log.mag or not enabled:
         return replace(s, enabled=False)
     if s.rotation == "auto" or s.hard_iron == "auto":
         C = quat_to_dcm(euler_to_quat(*settings.imu.rotation))
         found = calibrate(
-            folder.imu.t_us - round((settings.imu.delay) * 1e6),
-            folder.imu.gyro_b @ C.T,
-            np.array([sample.t_us for sample in folder.mag]) - round(s.delay * 1e6),
-            np.array([sample.field for sample in folder.mag]),
+            log.imu.t_us - round((settings.imu.delay) * 1e6),
+            log.imu.gyro_b @ C.T,
+            np.array([sample.t_us for sample in log.mag]) - round(s.delay * 1e6),
+            np.array([sample.field for sample in log.mag]),
             None if s.rotation == "auto" else s.rotation,
         )
         hard_iron = found.hard_iron if s.hard_iron == "auto" else s.hard_iron
@@ -48,12 +48,12 @@ def _magnetometer(settings: Settings, folder: CsvFolder) -> MagnetometerSettings
     return replace(s, enabled=True)
 
 
-def feed_folder(
-    folder: CsvFolder, estimator: Feed, settings: Settings, progress: Callable[[float], None]
+def feed_log(
+    log: SensorLog, estimator: Feed, settings: Settings, progress: Callable[[float], None]
 ) -> None:
     """Feed all tables merged by their stamps, with `settled` settings; at one stamp the IMU comes first."""
-    imu = folder.imu
-    arrivals = _arrivals(folder, settings)
+    imu = log.imu
+    arrivals = _arrivals(log, settings)
     arrivals.sort(key=lambda item: item.t_us)
     ends = imu.t_us.searchsorted([item.t_us for item in arrivals], "right").tolist()
     fed = 0
@@ -69,15 +69,15 @@ def feed_folder(
 
 
 def _arrivals(
-    folder: CsvFolder, settings: Settings
+    log: SensorLog, settings: Settings
 ) -> list[GnssFix | HeadingFix | MagSample | BaroSample]:
     """All measurements with the delays that are configured."""
     delay = settings.gnss.delay
     return [
-        *(fix if delay == "auto" else replace(fix, delay=delay) for fix in folder.gnss),
-        *(replace(fix, delay=settings.heading.delay) for fix in folder.headings),
-        *folder.mag,
-        *folder.baro,
+        *(fix if delay == "auto" else replace(fix, delay=delay) for fix in log.gnss),
+        *(replace(fix, delay=settings.heading.delay) for fix in log.headings),
+        *log.mag,
+        *log.baro,
     ]
 
 

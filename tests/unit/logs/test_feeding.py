@@ -11,8 +11,8 @@ import pytest
 from mavins.cli.replay import lines_of
 from mavins.config import Config, load
 from mavins.estimator.estimator import Estimator
-from mavins.logs.csv_feed import feed_folder, settled
 from mavins.logs.csv_folder import read_csv_folder
+from mavins.logs.feeding import feed_log, settled
 from mavins.replay import ReplayOptions, replay
 
 SECONDS = 8
@@ -63,7 +63,7 @@ def test_replay_of_a_folder(tmp_path: Path) -> None:
         "heading.csv": SECONDS * 5,
     }
     assert summary["log_s"] == pytest.approx(SECONDS - 0.02)
-    truth = summary["truth"]
+    truth = summary["reference"]
     assert truth["source"] == "reference.csv"
     assert set(truth["rms"]) == {"pos_m", "att_deg"}
     assert max(truth["rms"]["pos_m"]) < 0.5
@@ -96,7 +96,7 @@ class Recorder(Estimator):
 def test_readings_come_in_the_order_of_their_stamps(tmp_path: Path) -> None:
     folder = read_csv_folder(standing(tmp_path, 2))
     recorder = Recorder()
-    feed_folder(folder, recorder, load(None, {"gnss.delay": 0.25}), lambda _: None)
+    feed_log(folder, recorder, load(None, {"gnss.delay": 0.25}), lambda _: None)
     stamps = [t for _, t in recorder.log]
     assert stamps == sorted(stamps)
     assert recorder.log[:3] == [("imu", 0), ("gnss", 0), ("heading", 0)]
@@ -119,7 +119,7 @@ def test_a_magnetometer_aligns_a_folder_without_headings_and_a_barometer_holds_t
     config = load(None, {"magnetometer": {"declination_deg": 0.0, "inclination_deg": 60.0}})
     summary = replay(log, tmp_path / "out", config, ReplayOptions())
     assert summary["health"] == "running"
-    assert max(summary["truth"]["max"]["att_deg"]) < 1.0
+    assert max(summary["reference"]["max"]["att_deg"]) < 1.0
     for name in ("magnetometer", "baro"):
         aiding = summary["aiding"][name]
         assert aiding["accepted"] > 5

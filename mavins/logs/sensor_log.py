@@ -1,0 +1,61 @@
+"""What a log of sensors holds, whatever its format: tables of readings on one clock, in the order of their stamps."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+from mavins.logs.truth import Truth
+from mavins.types import BaroSample, GnssFix, HeadingFix, ImuTable, MagSample
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """Which of a log's sources are asked for, by name or number as the log has them; None: the usual one."""
+
+    imu: str | None = None
+    gnss: str | None = None
+    reference: str | None = None
+
+
+DEFAULT: Final = Choice()
+
+
+@dataclass(frozen=True, slots=True)
+class SensorLog:
+    """Readings of one vehicle; `t_us` counts microseconds on the IMU's clock everywhere.
+
+    `truth` is what a simulator knew, `reference` what the vehicle's own filter said: both for evaluation only.
+    `names` says where each table ("imu", "gnss", "heading", "mag", "baro", "truth", "reference") comes from in the
+    log; `dropped` counts the rows that hold no reading, by reason; `damage` what could not be read.
+    """
+
+    imu: ImuTable
+    gnss: list[GnssFix]
+    headings: list[HeadingFix]
+    mag: list[MagSample]
+    baro: list[BaroSample]
+    truth: Truth | None
+    reference: Truth | None
+    names: Mapping[str, str]
+    dropped: Counter[str]
+    damage: Mapping[str, int]
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """How many readings there are of each source."""
+        sizes = {
+            "imu": len(self.imu),
+            "gnss": len(self.gnss),
+            "heading": len(self.headings),
+            "mag": len(self.mag),
+            "baro": len(self.baro),
+        }
+        return {self.names[table]: n for table, n in sizes.items() if n}
+
+    @property
+    def seconds(self) -> float:
+        """How long the IMU was recorded."""
+        return float(self.imu.t_us[-1] - self.imu.t_us[0]) * 1e-6

@@ -1,0 +1,101 @@
+"""A log of any kind as a source of samples, by what is in it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final, Protocol
+
+from mavins.config import Config
+from mavins.estimator.estimator import Estimator
+from mavins.estimator.feed import Feed
+from mavins.evaluation.tape import Tape
+from mavins.logs.content import kind_of
+from mavins.logs.csv_folder import read_csv_folder
+from mavins.logs.feeding import feed_log, settled
+from mavins.logs.sensor_log import DEFAULT, Choice, SensorLog
+from mavins.logs.truth import Truth
+from mavins.outcome import outcome_of
+from mavins.tlog_source import TlogSource
+
+READERS: Final[dict[str, Callable[[Path, Choice], SensorLog]]] = {"csv_folder": read_csv_folder}
+"""Kind of a log -> what reads it. A reader that needs an extra imports it when it is called."""
+
+
+class Source(Protocol):
+    """A log of any kind.
+
+    `config` is the configuration with what the log itself decides; `seconds` is the log's length, `damage` what could
+    not be read; `truth`, what a simulator knew, and `reference`, what the vehicle's own filter said, are for evaluation
+    only.
+    """
+
+    config: Config
+    seconds: float
+    damage: dict[str, int]
+    truth: Truth | None
+    reference: Truth | None
+
+    def feed(self, estimator: Feed, progress: Callable[[float], None]) -> None:
+        """All of the log into an estimator."""
+
+    def summary(self, estimator: Estimator) -> dict[str, Any]:
+        """What was fed, and what the estimator made of it."""
+
+
+class SensorSource:
+    """A log of sensors: everything but telemetry."""
+
+    def __init__(self, log: SensorLog, config: Config) -> None:
+        self._log = log
+        self.config = settled(config, log)
+        self.seconds = log.seconds
+        self.damage = dict(log.damage)
+        self.truth = log.truth
+        self.reference = log.reference
+
+    def feed(self, estimator: Feed, progress: Callable[[float], None]) -> None:
+        """All tables, merged by their stamps."""
+        feed_log(self._log, estimator, self.config, progress)
+
+    def summary(self, estimator: Estimator) -> dict[str, Any]:
+        """What the tables hold, and what the estimator made of it."""
+        log, counts = self._log, self._log.counts
+        return {
+            "imu": {"message": log.names["imu"], "id": 0},
+            "messages": counts,
+            "rates_hz": {name: n / max(self.seconds, 1e-6) for name, n in counts.items()},
+            "dropped": {k: v for k, v in (log.dropped + estimator.dropped).items() if v},
+            **outcome_of(estimator),
+        }
+
+
+def source_of(
+    log: Path, config: Config, sysid: int | None = None, choice: Choice = DEFAULT
+) -> Source:
+    """The source that a path is, by its content; LogFormatError for what is not a log, or lacks what was chosen."""
+    kind = kind_of(log)
+    if kind == "tlog":
+        return TlogSource(log, config, sysid, choice)
+    return SensorSource(READERS[kind](log, choice), config)
+
+
+def judge_of(source: Source) -> Truth | None:
+    """What estimates are measured against: the truth, or for want of one the log's own filter."""
+    for judge in (source.truth, source.reference):
+        if judge is not None and len(judge) > 1:
+            return judge
+    return None
+
+
+def tape_of(
+    log: Path,
+    config: Config,
+    sysid: int | None = None,
+    progress: Callable[[float], None] = lambda _: None,
+) -> tuple[Tape, Truth | None]:
+    """What an estimator would be fed from a log, with the settings that go with it, and what to judge by."""
+    source = source_of(log, config, sysid)
+    tape = Tape(source.config)
+    source.feed(tape, progress)
+    return tape, judge_of(source)
