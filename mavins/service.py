@@ -184,12 +184,12 @@ class Service:
             if not link.is_stream:
                 if self._gate.admits(data, address, host, now_us):
                     self._take(data, address, now_us)
-            elif data:
+            elif not data:
+                self._hang_up(address, now_us)
+            elif self._gate.admits_piece(data, address, now_us):
                 buffer = self._buffers.setdefault(address, StreamBuffer())
                 if packets := buffer.push(data, now_us):
                     self._take(packets, address, now_us)
-            else:
-                self._hang_up(address, now_us)
 
     def _hang_up(self, address: Address, now_us: int) -> None:
         """A stream ended: what it left is all that there will be."""
