@@ -20,7 +20,7 @@ from mavins.evaluation.live import HIL_STATE, LiveTruth
 from mavins.logs.recording import Recording
 from mavins.mavlink.codec import Frames
 from mavins.mavlink.limits import Gate, may_change
-from mavins.mavlink.session import Session
+from mavins.mavlink.session import Session, Surroundings
 from mavins.mavlink.signing import Unsigned, Verdict, takes_unsigned
 from mavins.mavlink.stream_buffer import StreamBuffer
 from mavins.mavlink.vehicle import Vehicle
@@ -101,19 +101,16 @@ class Service:
         self._cpu_started = time.process_time()
         self._gate = Gate(config.limits, self._now_us())
         self.session = Session(
-            config.mavlink,
-            config.streams,
-            config.sources,
+            config,
             self._make_estimator,
-            self._may_change,
-            self._recorder,
-            self._transmit,
-            None if signing is None else self._verify,
-            None if signing is None else self._seal,
-            self._make_store,
-            config.monitor,
-            config.autopilot_output,
-            config.asking,
+            Surroundings(
+                self._may_change,
+                recording,
+                self._transmit,
+                None if signing is None else self._verify,
+                None if signing is None else self._seal,
+                self._make_store,
+            ),
         )
         for address in gcs:
             self.session.add_peer(address)
