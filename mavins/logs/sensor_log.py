@@ -30,6 +30,8 @@ class SensorLog:
     `truth` is what a simulator knew, `reference` what the vehicle's own filter said: both for evaluation only.
     `names` says where each table ("imu", "gnss", "heading", "mag", "baro", "truth", "reference") comes from in the
     log; `dropped` counts the rows that hold no reading, by reason; `damage` what could not be read.
+    `gnss_delay` is the delay of the fixes in s that the vehicle was told or its driver knows, None where the log does
+    not say.
     """
 
     imu: ImuTable
@@ -42,6 +44,7 @@ class SensorLog:
     names: Mapping[str, str]
     dropped: Counter[str]
     damage: Mapping[str, int]
+    gnss_delay: float | None = None
 
     @property
     def counts(self) -> dict[str, int]:
