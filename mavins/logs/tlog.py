@@ -1,23 +1,20 @@
 """Telemetry logs: of each packet 8 bytes of big-endian microseconds, then the packet as it was
 received.
 
-Mission Planner, QGroundControl and pymavlink write and read the same. A .gz or .xz around it is
-told by content.
+Mission Planner, QGroundControl and pymavlink write and read the same. What packs it is told by
+content (mavins/logs/packed.py).
 """
 
 from __future__ import annotations
 
 import contextlib
-import gzip
-import io
-import lzma
 import os
-import zlib
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Final
 
 from mavins.errors import LogFormatError, OutputError
+from mavins.logs.packed import open_packed
 from mavins.mavlink.codec.framing import STAMP_LENGTH, Frames, scan_tlog
 
 _BUFFER: Final = 1 << 16
@@ -106,14 +103,9 @@ class TlogWriter:
 
 
 def read_tlog(path: str | Path) -> Frames:
-    """All intact packets of a .tlog, plain or in .gz or .xz; LogFormatError where there is none."""
-    try:
-        data = Path(path).read_bytes()
-    except OSError as error:
-        raise LogFormatError(f"cannot read {path}: {error.strerror}") from error
-    if not data:
-        raise LogFormatError(f"{path} is empty")
-    data = _decompressed(data, path)
+    """All intact packets of a .tlog, also packed; LogFormatError where there is none."""
+    with open_packed(path) as stream:
+        data = stream.read()
     for magic, name in _OTHER_FORMATS.items():
         if data.startswith(magic):
             raise LogFormatError(f"{path} is {name}, not a MAVLink .tlog")
@@ -122,23 +114,3 @@ def read_tlog(path: str | Path) -> Frames:
     if len(frames) == 0 or frames.damage.skipped_bytes > 0.9 * len(data):
         raise LogFormatError(f"{path} is not a MAVLink .tlog: no packets with stamps in it")
     return frames
-
-
-def _decompressed(data: bytes, path: str | Path) -> bytes:
-    """What .gz or .xz wraps; of a file that was cut off, all up to the cut."""
-    if data.startswith(b"\x1f\x8b"):
-        stream: io.BufferedIOBase = gzip.GzipFile(fileobj=io.BytesIO(data))
-    elif data.startswith(b"\xfd7zXZ\x00"):
-        stream = lzma.LZMAFile(io.BytesIO(data))  # noqa: SIM115 (nothing to close)
-    else:
-        return data
-    parts = []
-    try:
-        while part := stream.read(_BUFFER):
-            parts.append(part)
-    except (OSError, EOFError, lzma.LZMAError, zlib.error) as error:
-        if not parts:
-            raise LogFormatError(f"{path} is damaged: {error}") from error
-    if not parts:
-        raise LogFormatError(f"{path} is empty")
-    return b"".join(parts)
