@@ -17,7 +17,6 @@ from mavins.logs.dataflash.formats import (
     FMT,
     FMT_LENGTH,
     HEADER,
-    STAMPS,
     TEXTS,
     Batch,
     Column,
@@ -26,6 +25,7 @@ from mavins.logs.dataflash.formats import (
     format_of,
     microseconds,
 )
+from mavins.logs.dataflash.survey import Survey
 from mavins.nav.kernels import kernel
 from mavins.types import IntArray
 
@@ -119,13 +119,15 @@ class BinaryLog:
     def __init__(self, stream: IO[bytes], wanted: Wanted) -> None:
         self._stream = stream
         self._wanted = wanted
-        self._taken: dict[int, tuple[Format, tuple[str, ...]]] = {}
+        self._formats: dict[int, Format] = {}
+        self._taken: dict[int, tuple[str, ...]] = {}
         self._lengths = np.zeros(256, np.int64)
         self._lengths[FMT] = FMT_LENGTH
         self._sizes = np.zeros(256, np.int64)
         for character, (field, _) in CHARACTERS.items():
             self._sizes[ord(character)] = np.dtype(field).itemsize
         self._state = np.array([0, 0, 1])
+        self.survey = Survey()
 
     @property
     def skipped(self) -> int:
@@ -155,10 +157,15 @@ class BinaryLog:
         if FMT in present:
             self._define(self._messages(data, start[kind == FMT], FMT))
         for number in present:
+            form = self._formats.get(number)
+            if form is None:
+                continue
+            mine = start[kind == number]
+            rows = self._messages(data, mine if number in self._taken else mine[[0, -1]], number)
+            batch = _batch(form, self._taken.get(number, ()), rows.view(form.row)[:, 0])
+            self.survey.add(form.name, len(mine), batch.t_us)
             if number in self._taken:
-                form, labels = self._taken[number]
-                rows = self._messages(data, start[kind == number], number).view(form.row)[:, 0]
-                yield _batch(form, labels, rows)
+                yield batch
 
     def _messages(self, data: Bytes, start: IntArray, number: int) -> Bytes:
         """Messages (N, length) of one type."""
@@ -175,20 +182,21 @@ class BinaryLog:
                 for part in (text[:4], text[4 : 4 + _FIELDS], text[4 + _FIELDS :])
             )
             form = format_of(name, characters, labels)
-            if form is None or number in self._taken or form.row.itemsize != length:
+            if form is None or number in self._formats or number == FMT:
                 continue
-            labels_wanted = self._wanted(form)
-            if labels_wanted and length == self._lengths[number]:
-                self._taken[number] = form, labels_wanted
+            if form.row.itemsize == length == self._lengths[number]:
+                self._formats[number] = form
+                wanted = self._wanted(form)
+                if wanted:
+                    self._taken[number] = wanted
 
 
 def _batch(form: Format, labels: tuple[str, ...], rows: NDArray[np.void]) -> Batch:
-    t_us: IntArray = np.empty(0, np.int64)
+    stamp = form.stamp
+    t_us = np.empty(0, np.int64) if stamp is None else microseconds(stamp, rows[stamp])
     columns: dict[str, Column] = {}
     for label in labels:
-        if label in STAMPS:
-            t_us = microseconds(label, rows[label])
-        elif form.character(label) in TEXTS:
+        if form.character(label) in TEXTS:
             columns[label] = rows[label].copy()
         else:
             columns[label] = rows[label] * np.float64(CHARACTERS[form.character(label)][1])

@@ -11,17 +11,16 @@ from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import DTypeLike
 
 from mavins.errors import LogFormatError
-from mavins.logs.dataflash.formats import STAMPS, TEXTS, Batch, Format
+from mavins.logs.dataflash.formats import NO_NUMBERS, Batch, Format
 from mavins.logs.dataflash.tables import Table
 from mavins.types import FloatArray, IntArray
 
 _INSTANCES: Final = ("I", "C", "Inst", "Instance", "IMU", "Type")
 """How the field that numbers sensors, cores or origins is called; it is the second one."""
 _WHOLE: Final = "bBhHiI"
-_NO_NUMBERS: Final = "a" + TEXTS
 _OLDER: Final = {
     "IMU2": ("IMU", 1),
     "IMU3": ("IMU", 2),
@@ -96,11 +95,13 @@ def parts(batch: Batch) -> Iterator[tuple[Name, IntArray]]:
 class Reading:
     """How a message is read: its fields, those in brackets may be lacking, and what its rows (M, fields) become.
 
-    What is not lacking must be finite, before and after; else there is no reading.
+    What is not lacking must be finite, before and after; else there is no reading. `over` is the field, counted from 0,
+    that says over how many s before its stamp a reading is a mean: it is put in the middle of that.
     """
 
     labels: tuple[str, ...]
     convert: Callable[[FloatArray], FloatArray] = lambda rows: rows
+    over: int | None = None
 
     @property
     def plain(self) -> tuple[str, ...]:
@@ -112,8 +113,8 @@ class Reading:
         """The fields that may not be lacking; they come first."""
         return tuple(label for label in self.labels if not label.startswith("["))
 
-    def rows(self, batch: Batch, chosen: IntArray) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """The readings in the `chosen` rows of a batch, and which of them are some."""
+    def rows(self, batch: Batch, chosen: IntArray) -> tuple[IntArray, FloatArray]:
+        """The readings in the `chosen` rows of a batch, and when they were taken."""
         raw = np.full((len(chosen), len(self.labels)), np.nan)
         for k, label in enumerate(self.plain):
             if label in batch.columns:
@@ -121,7 +122,11 @@ class Reading:
         n = len(self.needed)
         with np.errstate(all="ignore"):
             rows = self.convert(raw)
-        return rows, np.isfinite(raw[:, :n]).all(axis=1) & np.isfinite(rows[:, :n]).all(axis=1)
+        usable = np.isfinite(raw[:, :n]).all(axis=1) & np.isfinite(rows[:, :n]).all(axis=1)
+        t_us = batch.t_us[chosen[usable]]
+        if self.over is not None:
+            t_us = t_us - np.rint(raw[usable, self.over] * 5e5).astype(np.int64)
+        return t_us, rows[usable]
 
 
 @dataclass(slots=True)
@@ -155,14 +160,11 @@ class Channel:
     def fields_of(self, form: Format) -> tuple[str, ...]:
         """The fields of a message that this reads; none where it cannot be used."""
         reading = self.messages.get(_OLDER.get(form.name, (form.name, 0))[0])
-        stamp = next((label for label in STAMPS if form.has(label)), None)
-        if reading is None or stamp is None or not all(map(form.has, reading.needed)):
+        if reading is None or form.stamp is None or not all(map(form.has, reading.needed)):
             return ()
         number = instance_label(form)
-        labels = [stamp, *filter(form.has, reading.plain), *([number] if number else [])]
-        return (
-            () if any(form.character(label) in _NO_NUMBERS for label in labels) else tuple(labels)
-        )
+        labels = [*filter(form.has, reading.plain), *([number] if number else [])]
+        return () if any(form.character(label) in NO_NUMBERS for label in labels) else tuple(labels)
 
     def take(self, batch: Batch) -> None:
         """Keep what a batch has of the source that is read."""
@@ -177,15 +179,22 @@ class Channel:
                 self.table = Table(self.dtype, self.period_us)
                 self.unusable = 0
             if name == self.source:
-                rows, usable = self.messages[name.message].rows(batch, chosen)
-                self.unusable += len(rows) - int(usable.sum())
-                self.table.append(batch.t_us[chosen][usable], rows[usable])
+                t_us, rows = self.messages[name.message].rows(batch, chosen)
+                self.unusable += len(chosen) - len(rows)
+                self.table.append(t_us, rows)
 
     def _rank(self, name: Name) -> int:
         return list(self.messages).index(name.message)
 
+    @property
+    def choices(self) -> list[str]:
+        """The sources that could be chosen."""
+        return [str(name) for name in sorted(self.seen, key=lambda n: (self._rank(n), n.number))]
+
     def check(self, what: str) -> None:
         """LogFormatError where a source was asked for that the log does not have."""
         if self.wish is not None and not len(self.table):
-            have = ", ".join(map(str, sorted(self.seen))) or "none"
-            raise LogFormatError(f"the log has no {what} {self.wish.text!r}; it has {have}")
+            have = ", ".join(self.choices) or "none"
+            raise LogFormatError(
+                f"the log has no {what} called {self.wish.text[:40]!r}; it has {have}"
+            )

@@ -46,6 +46,7 @@ CHARACTERS: Final[dict[str, tuple[str, float]]] = {
 }
 """Character of a field -> its type in a binary log, and what its number is multiplied by; text has it multiplied."""
 TEXTS: Final = "nNZ"
+NO_NUMBERS: Final = "a" + TEXTS
 STAMPS: Final = {"TimeUS": 1, "TimeMS": 1000}
 """Fields that are stamps, and how many microseconds they count."""
 _STAMP_LIMIT: Final = 2**50
@@ -71,9 +72,11 @@ class Format:
         """Whether there is a field of this label."""
         return label in self.labels
 
-    def is_text(self, label: str) -> bool:
-        """Whether a field holds text."""
-        return self.character(label) in TEXTS
+    @property
+    def stamp(self) -> str | None:
+        """The field that is the stamp."""
+        found = (label for label in STAMPS if label in self.labels)
+        return next((label for label in found if self.character(label) not in NO_NUMBERS), None)
 
     def character(self, label: str) -> str:
         """The character of a field."""
@@ -100,14 +103,16 @@ def format_of(name: str, characters: str, labels: str) -> Format | None:
 def microseconds(label: str, values: NDArray[Any]) -> IntArray:
     """Stamps (N,) of a field as int64, negative where they cannot be."""
     possible = (values >= 0) & (values < _STAMP_LIMIT)
-    return np.where(possible, values, -1).astype(np.int64) * STAMPS[label]
+    stamps = np.where(possible, values, 0).astype(np.int64) * STAMPS[label]
+    return np.where(possible, stamps, -1)
 
 
 @dataclass(frozen=True, slots=True)
 class Batch:
     """Some consecutive messages of one type: columns (N,) by label, as many as were asked for and are there.
 
-    Numbers are float64 in the unit of the field's description; `t_us` (N,) are the stamps, where they were asked for.
+    Numbers are float64 in the unit of the field's description; `t_us` (N,) are the stamps, none where there is no such
+    field.
     """
 
     format: Format

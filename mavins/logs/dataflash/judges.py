@@ -17,21 +17,32 @@ from mavins.types import FloatArray, IntArray
 _SPHERE: Final = 6378100.0
 _EULER: Final = ("Roll", "Pitch", "Yaw")
 _QUATERNION: Final = ("[Q1]", "[Q2]", "[Q3]", "[Q4]")
-_FILTER: Final = Reading((*_EULER, "VN", "VE", "VD", "PN", "PE", "PD"))
-_ATTITUDE: Final = Reading(_EULER)
+_LIMIT: Final = 1e7
+"""Nothing that is said here is greater, in metres, m/s or degrees."""
 
-SIM: Final = {"SIM": Reading((*_EULER, "Lat", "Lng", "Alt", *_QUATERNION))}
-SIM2: Final = {"SIM2": Reading(("PN", "PE", "PD", "VN", "VE", "VD"))}
+
+def _moderate(rows: FloatArray) -> FloatArray:
+    return np.where(abs(rows) < _LIMIT, rows, np.nan)
+
+
+_FILTER: Final = Reading((*_EULER, "VN", "VE", "VD", "PN", "PE", "PD"), _moderate)
+_ATTITUDE: Final = Reading(_EULER, _moderate)
+
+_CONTRADICTION: Final = 0.3
+"""A velocity that differs by so many m/s from how the position changes is none."""
+
+SIM: Final = {"SIM": Reading((*_EULER, "Lat", "Lng", "Alt", *_QUATERNION), _moderate)}
+SIM2: Final = {"SIM2": Reading(("PN", "PE", "PD", "VN", "VE", "VD"), _moderate)}
 REFERENCES: Final = {
     "XKF1": _FILTER,
     "NKF1": _FILTER,
     "EKF1": _FILTER,
-    "POS": Reading(("Lat", "Lng", "Alt")),
-    "AHR2": Reading((*_EULER, "Lat", "Lng", "Alt")),
+    "POS": Reading(("Lat", "Lng", "Alt"), _moderate),
+    "AHR2": Reading((*_EULER, "Lat", "Lng", "Alt"), _moderate),
     "ATT": _ATTITUDE,
 }
 ATTITUDE: Final = {"ATT": _ATTITUDE}
-ORIGIN: Final = {"ORGN": Reading(("Lat", "Lng", "Alt"))}
+ORIGIN: Final = {"ORGN": Reading(("Lat", "Lng", "Alt"), _moderate)}
 PERIOD_US: Final = 20_000
 """Of what a judge says more often than that the first is kept; positions between are on cubics."""
 
@@ -43,7 +54,7 @@ def truth_of(sim: Channel, sim2: Channel) -> Truth | None:
     t_us, rows = sim.table.t_us, sim.table.rows
     lla = np.column_stack([np.radians(rows[:, 3:5]), rows[:, 5]])
     q_lb = np.where(np.isfinite(rows[:, 6:]).all(axis=1)[:, None], rows[:, 6:], _quat(rows[:, :3]))
-    norm = np.linalg.norm(q_lb, axis=1)
+    norm: FloatArray = np.linalg.norm(q_lb, axis=1)
     usable = np.flatnonzero(abs(norm - 1.0) < 0.1)
     t_us, lla, q_lb = t_us[usable], lla[usable], q_lb[usable] / norm[usable, None]
     if not len(t_us):
@@ -53,9 +64,8 @@ def truth_of(sim: Channel, sim2: Channel) -> Truth | None:
     at_us, moves = sim2.table.t_us, sim2.table.rows
     home = _home(t_us, lla, at_us, moves[:, :3])
     turned = _between(at_us, t_us, q_lb)
-    return Truth(
-        at_us, _lla(home, moves[:, :3]), moves[:, 3:], turned, f"{sim2.source}, {sim.source}"
-    )
+    v_l = _followed(at_us, moves[:, :3], moves[:, 3:])
+    return Truth(at_us, _lla(home, moves[:, :3]), v_l, turned, f"{sim2.source}, {sim.source}")
 
 
 def reference_of(channel: Channel, attitude: Channel, origin: Channel) -> Truth | None:
@@ -98,6 +108,15 @@ def _lla(home: FloatArray, ned: FloatArray) -> FloatArray:
     return np.column_stack([home[0] + north, home[1] + east, home[2] - ned[:, 2]])
 
 
+def _followed(t_us: IntArray, ned: FloatArray, v: FloatArray) -> FloatArray:
+    """Velocities (N, 3), nan where positions do not follow them: the simulator's ground holds a vehicle at take-off."""
+    moved = np.diff(ned, axis=0) / (np.diff(t_us) * 1e-6)[:, None]
+    false = (abs(moved - 0.5 * (v[1:] + v[:-1])) > _CONTRADICTION).any(axis=1)
+    told = v.copy()
+    told[:-1][false] = told[1:][false] = np.nan
+    return told
+
+
 def _home(t_us: IntArray, lla: FloatArray, at_us: IntArray, ned: FloatArray) -> FloatArray:
     """Where positions (M, 3) at `at_us` count from: the median of what those (N, 3) in degrees say."""
     moved = np.column_stack([np.interp(t_us, at_us, ned[:, k]) for k in range(3)])
@@ -133,4 +152,5 @@ def _between(at_us: IntArray, t_us: IntArray, q: FloatArray) -> FloatArray:
     flip = np.where(np.sum(q[k] * q[k + 1], axis=1, keepdims=True) < 0.0, -1.0, 1.0)
     chord = q[k] + s * (flip * q[k + 1] - q[k])
     chord[(s[:, 0] < 0.0) | (s[:, 0] > 1.0)] = np.nan
-    return chord / np.linalg.norm(chord, axis=1, keepdims=True)
+    unit: FloatArray = chord / np.linalg.norm(chord, axis=1, keepdims=True)
+    return unit

@@ -6,17 +6,20 @@ Stamps are TimeUS, microseconds since boot. Format: docs/reference/dataflash.md.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, Final
+from typing import Final, TypeAlias
 
 import numpy as np
 
 from mavins.errors import LogFormatError
+from mavins.logs.cleaning import thinned
 from mavins.logs.dataflash import judges
 from mavins.logs.dataflash.binary import BinaryLog
 from mavins.logs.dataflash.channels import Channel, Reading, Wish, wish_of
-from mavins.logs.dataflash.formats import Batch, Format, Wanted
+from mavins.logs.dataflash.formats import Batch, Format
 from mavins.logs.dataflash.gnss import GPA, GPS, ReceiverParameters, fixes_of
+from mavins.logs.dataflash.survey import Firmware
 from mavins.logs.dataflash.text import TextLog
 from mavins.logs.packed import fault_of, open_packed
 from mavins.logs.sensor_log import DEFAULT, Choice, SensorLog
@@ -43,11 +46,16 @@ def _not_zero(rows: FloatArray) -> FloatArray:
 _IMU: Final = {
     "IMU": Reading(("GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ"), _rates),
     "IMT": Reading(
-        ("DelAX", "DelAY", "DelAZ", "DelVX", "DelVY", "DelVZ", "DelvT", "[DelaT]"), _of_increments
+        ("DelAX", "DelAY", "DelAZ", "DelVX", "DelVY", "DelVZ", "DelvT", "[DelaT]"),
+        _of_increments,
+        over=6,
     ),
 }
 _MAG: Final = {"MAG": Reading(("MagX", "MagY", "MagZ"), _not_zero)}
 _BARO: Final = {"BARO": Reading(("Alt",))}
+
+
+_Reader: TypeAlias = Channel | ReceiverParameters | Firmware
 
 
 class _Channels:
@@ -68,28 +76,40 @@ class _Channels:
         self.reference = Channel(judges.REFERENCES, wish_of(choice.reference), period_us=often)
         self.attitude = Channel(judges.ATTITUDE, period_us=often)
         self.origin = Channel(judges.ORIGIN, Wish("0", None, 0))
+        self.firmware = Firmware()
+        self._all: list[_Reader] = list(vars(self).values())
+        self._by_format: dict[Format, list[_Reader]] = {}
 
-    def all(self) -> list[Channel | ReceiverParameters]:
-        return list(vars(self).values())
+    def _readers(self, form: Format) -> list[_Reader]:
+        if form not in self._by_format:
+            self._by_format[form] = [each for each in self._all if each.fields_of(form)]
+        return self._by_format[form]
 
     def sources(self) -> dict[str, Channel]:
         """Those with readings, as `SensorLog.names` calls them."""
         named = {"imu": self.imu, "gnss": self.gnss, "mag": self.mag, "baro": self.baro}
         return {name: channel for name, channel in named.items() if len(channel)}
 
+    def choices(self) -> dict[str, list[str]]:
+        """What can be chosen of those."""
+        named = {"imu": self.imu, "gnss": self.gnss, "reference": self.reference}
+        return {name: channel.choices for name, channel in named.items()}
+
     def wanted(self, form: Format) -> tuple[str, ...]:
         """The fields of a message that any of them reads."""
-        return tuple(dict.fromkeys(label for each in self.all() for label in each.fields_of(form)))
+        labels = (label for each in self._readers(form) for label in each.fields_of(form))
+        return tuple(dict.fromkeys(labels))
 
     def take(self, batch: Batch) -> None:
-        for each in self.all():
-            if each.fields_of(batch.format):
-                each.take(batch)
+        """Hand a batch to those that read its message."""
+        for each in self._readers(batch.format):
+            each.take(batch)
 
-
-def messages_of(stream: IO[bytes], head: bytes, wanted: Wanted) -> BinaryLog | TextLog:
-    """The messages of a log that begins with `head`."""
-    return TextLog(stream, wanted) if head.startswith(b"FMT") else BinaryLog(stream, wanted)
+    def check(self) -> None:
+        """LogFormatError where something was asked for that is not there."""
+        self.imu.check("IMU")
+        self.gnss.check("GNSS")
+        self.reference.check("reference")
 
 
 def read_dataflash(path: Path, choice: Choice = DEFAULT) -> SensorLog:
@@ -99,21 +119,25 @@ def read_dataflash(path: Path, choice: Choice = DEFAULT) -> SensorLog:
     """
     channels = _Channels(choice)
     with open_packed(path) as stream:
-        head = stream.read(4)
+        is_text = stream.read(3) == b"FMT"
     with open_packed(path) as stream:
-        log = messages_of(stream, head, channels.wanted)
+        log = (TextLog if is_text else BinaryLog)(stream, channels.wanted)
         for batch in log:
             channels.take(batch)
-        damage = {"skipped_bytes": log.skipped, "truncated": int(bool(fault_of(stream)))}
-    channels.imu.check("IMU")
-    channels.gnss.check("GNSS receiver")
-    channels.reference.check("reference")
+        fault = fault_of(stream)
+    messages = log.survey.messages()
+    if not messages:
+        raise LogFormatError(f"{path} is not an ArduPilot dataflash log: no messages in it")
+    channels.check()
     if not len(channels.imu):
         raise LogFormatError(f"{path} has no IMU messages (IMU, IMT): nothing to estimate from")
-    return _sensor_log(channels, damage)
+    damage = {"skipped_bytes": log.skipped, "unpacking_failed": int(bool(fault))}
+    return _sensor_log(channels, {k: v for k, v in damage.items() if v}, messages)
 
 
-def _sensor_log(channels: _Channels, damage: dict[str, int]) -> SensorLog:
+def _sensor_log(
+    channels: _Channels, damage: dict[str, int], messages: dict[str, tuple[int, float]]
+) -> SensorLog:
     dropped: Counter[str] = Counter()
     sources = channels.sources()
     for channel in sources.values():
@@ -127,17 +151,25 @@ def _sensor_log(channels: _Channels, damage: dict[str, int]) -> SensorLog:
     for name, judge in (("truth", truth), ("reference", reference)):
         if judge is not None:
             names[name] = judge.source
-    imu, mag, baro, receiver = channels.imu, channels.mag, channels.baro, channels.gnss.source
+    imu, receiver = channels.imu.table, channels.gnss.source
     return SensorLog(
-        ImuTable(imu.table.t_us, imu.table.rows[:, 3:], imu.table.rows[:, :3]),
+        ImuTable(imu.t_us, imu.rows[:, 3:], imu.rows[:, :3]),
         fixes,
         headings,
-        [MagSample(t, field, str(mag.source)) for t, field in mag.table],
-        [BaroSample(t, float(alt), str(baro.source)) for t, (alt,) in baro.table],
+        [MagSample(t, row, names["mag"]) for t, row in _slow(channels.mag)],
+        [BaroSample(t, float(row[0]), names["baro"]) for t, row in _slow(channels.baro)],
         truth,
         reference,
         names,
         +dropped,
         damage,
         None if receiver is None else channels.parameters.delay(receiver.number),
+        channels.choices(),
+        messages,
+        channels.firmware.name,
     )
+
+
+def _slow(channel: Channel) -> Iterator[tuple[int, FloatArray]]:
+    t_us, rows = thinned(channel.table.t_us, channel.table.rows)
+    return zip(t_us.tolist(), rows, strict=True)

@@ -8,7 +8,6 @@ from typing import IO, Final
 import numpy as np
 
 from mavins.logs.dataflash.formats import (
-    STAMPS,
     TEXTS,
     Batch,
     Column,
@@ -17,7 +16,8 @@ from mavins.logs.dataflash.formats import (
     format_of,
     microseconds,
 )
-from mavins.types import FloatArray, IntArray
+from mavins.logs.dataflash.survey import Survey
+from mavins.types import FloatArray
 
 _CHUNK: Final = 1 << 20
 _LONGEST: Final = 1 << 14
@@ -33,6 +33,7 @@ class TextLog:
         self._formats: dict[bytes, Format] = {}
         self._taken: dict[bytes, tuple[str, ...]] = {}
         self.skipped = 0
+        self.survey = Survey()
 
     def __iter__(self) -> Iterator[Batch]:
         rest, final = b"", False
@@ -52,13 +53,20 @@ class TextLog:
             name = line[: line.find(b",")].strip()
             if name == b"FMT":
                 self._define(line)
-            elif name in self._taken:
+            elif name in self._formats:
                 found.setdefault(name, []).append(line)
-            elif name not in self._formats:
+            else:
                 self.skipped += len(line)
         for name, mine in found.items():
-            form, labels = self._formats[name], self._taken[name]
-            yield self._batch(form, labels, mine)
+            form = self._formats[name]
+            if name in self._taken:
+                batch, good = _batch(form, self._taken[name], mine)
+                self.skipped += sum(map(len, mine)) - sum(map(len, good))
+                self.survey.add(form.name, batch.count, batch.t_us)
+                yield batch
+            else:
+                ends, _ = _batch(form, (), [mine[0], mine[-1]])
+                self.survey.add(form.name, len(mine), ends.t_us)
 
     def _define(self, line: bytes) -> None:
         """Take a format: FMT, type, length, name, characters, labels."""
@@ -73,28 +81,27 @@ class TextLog:
             if labels:
                 self._taken[name] = labels
 
-    def _batch(self, form: Format, labels: tuple[str, ...], lines: list[bytes]) -> Batch:
-        n = len(form.labels)
-        # only a last text may hold commas
-        open_end = form.characters[-1] in TEXTS
-        whole = [line for line in lines if (k := line.count(b",")) == n or (open_end and k > n)]
-        numbers = [label for label in labels if form.character(label) not in TEXTS]
-        texts = [label for label in labels if label not in numbers]
-        at = [form.labels.index(label) + 1 for label in numbers]
-        table, good = _numbers(whole, at)
-        self.skipped += sum(map(len, lines)) - sum(map(len, good))
-        t_us: IntArray = np.empty(0, np.int64)
-        columns: dict[str, Column] = {}
-        for label, column in zip(numbers, table.T, strict=True):
-            if label in STAMPS:
-                t_us = microseconds(label, column)
-            else:
-                columns[label] = column.copy()
-        fields = [line.split(b",", n) for line in good] if texts else []
-        for label in texts:
-            k = form.labels.index(label) + 1
-            columns[label] = np.array([field[k].strip() for field in fields], np.bytes_)
-        return Batch(form, t_us, columns, len(good))
+
+def _batch(form: Format, labels: tuple[str, ...], lines: list[bytes]) -> tuple[Batch, list[bytes]]:
+    """Some lines of one message, and those of them that are not damaged."""
+    n, stamp = len(form.labels), form.stamp
+    # only a last text may hold commas
+    open_end = form.characters[-1] in TEXTS
+    whole = [line for line in lines if (k := line.count(b",")) == n or (open_end and k > n)]
+    texts = [label for label in labels if form.character(label) in TEXTS]
+    numbers = [label for label in labels if label not in texts]
+    stamps = [] if stamp is None else [stamp]
+    at = [form.labels.index(label) + 1 for label in (*stamps, *numbers)]
+    table, good = _numbers(whole, at)
+    t_us = np.empty(0, np.int64) if stamp is None else microseconds(stamp, table[:, 0])
+    columns: dict[str, Column] = {
+        label: table[:, k].copy() for k, label in enumerate(numbers, len(stamps))
+    }
+    for label in texts:
+        k = form.labels.index(label) + 1
+        fields = [line.split(b",", n)[k].strip() for line in good]
+        columns[label] = np.array(fields, np.bytes_)
+    return Batch(form, t_us, columns, len(good)), good
 
 
 def _numbers(lines: list[bytes], at: list[int]) -> tuple[FloatArray, list[bytes]]:
