@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,8 +16,8 @@ from mavins.errors import LogFormatError
 from mavins.estimator.estimator import Estimator
 from mavins.estimator.feed import Feed
 from mavins.logs.sensor_log import Choice
-from mavins.logs.tlog import read_tlog
-from mavins.logs.truth import Truth, truth_of
+from mavins.logs.tlog import Tlog
+from mavins.logs.truth import Truth, joined, truth_of
 from mavins.mavlink.asking import SPOKEN
 from mavins.mavlink.codec import IMU_KINDS, Frames, OriginRequest, decode
 from mavins.mavlink.commands import (
@@ -43,18 +44,83 @@ CHUNK = 20_000
 """Packets between two reports of progress."""
 
 
-def vehicle_of(frames: Frames, wanted: int | None = None) -> int:
-    """The `wanted` sysid if it sends an IMU, or the first that does; LogFormatError if there is none."""
-    senders = frames.sysid[np.isin(frames.msgid, list(IMU_KINDS))]
-    if not len(senders):
-        raise LogFormatError(
-            "the log has no IMU messages (HIGHRES_IMU, SCALED_IMU, RAW_IMU): "
-            "nothing to estimate from; see what it holds with: mavins info LOG"
-        )
-    if wanted is not None and wanted not in senders:
-        have = ", ".join(str(sysid) for sysid in np.unique(senders).tolist())
-        raise LogFormatError(f"vehicle {wanted} sends no IMU messages in this log; {have} does")
-    return int(senders[0]) if wanted is None else wanted
+class Survey:
+    """What is to be known of a telemetry log before it is fed, gathered block by block.
+
+    `vehicle` is the wanted system, or the first that sends an IMU; `identity` the ids under which a live session,
+    seeing these packets, speaks about it; `t_us` when the first and the last packet came; `truth` is for evaluation.
+    """
+
+    def __init__(self, settings: SessionSettings, wanted: int | None = None) -> None:
+        self.senders: list[int] = []
+        self.t_us: tuple[int, int] | None = None
+        self.damage: Counter[str] = Counter()
+        self._settings = settings
+        self._wanted = wanted
+        self._ours: dict[int, Identity] = {}
+        self._seen: set[int] = set()
+        self._truth: list[Truth] = []
+
+    @property
+    def vehicle(self) -> int | None:
+        """The system that is estimated, as far as is known."""
+        return self._wanted if self._wanted is not None else next(iter(self.senders), None)
+
+    @property
+    def identity(self) -> Identity | None:
+        """Who speaks about the vehicle; None where it sends no IMU."""
+        return None if self.vehicle is None else self._ours.get(self.vehicle)
+
+    @property
+    def truth(self) -> Truth | None:
+        """All of the simulator's truth about the vehicle."""
+        return joined(self._truth)
+
+    def see(self, frames: Frames) -> None:
+        """Look at a block."""
+        for name in ("bad_crc", "unknown", "skipped_bytes", "truncated"):
+            self.damage[name] += getattr(frames.damage, name)
+        if not len(frames):
+            return
+        first_us = int(frames.t_us[0]) if self.t_us is None else self.t_us[0]
+        self.t_us = (first_us, int(frames.t_us[-1]))
+        self._meet(frames)
+        vehicle = self.vehicle
+        truth = None if vehicle is None else truth_of(frames, vehicle)
+        if truth is not None:
+            self._truth.append(truth)
+
+    def _meet(self, frames: Frames) -> None:
+        """Give an identity to each vehicle whose first IMU message is here."""
+        told = ~np.isin(frames.msgid, SPOKEN)
+        imu_at = np.flatnonzero(np.isin(frames.msgid, list(IMU_KINDS)))
+        vehicles, first = np.unique(frames.sysid[imu_at], return_index=True)
+        for k in np.argsort(first).tolist():
+            vehicle = int(vehicles[k])
+            if vehicle in self.senders:
+                continue
+            self.senders.append(vehicle)
+            taken = {who.sysid for who in self._ours.values()}
+            if vehicle not in taken or self._settings.persona == "companion":
+                before = slice(imu_at[first[k]] + 1)
+                seen = self._seen | set(frames.sysid[before][told[before]].tolist())
+                self._ours[vehicle] = identity_for(vehicle, self._settings, seen, taken)
+        self._seen.update(np.unique(frames.sysid[told]).tolist())
+
+    def check(self) -> int:
+        """The vehicle; LogFormatError where it, or any, sends no IMU."""
+        if not self.senders:
+            raise LogFormatError(
+                "the log has no IMU messages (HIGHRES_IMU, SCALED_IMU, RAW_IMU): "
+                "nothing to estimate from; see what it holds with: mavins info LOG"
+            )
+        vehicle = self.vehicle
+        if vehicle is None or vehicle not in self.senders:
+            have = ", ".join(map(str, sorted(self.senders)))
+            raise LogFormatError(
+                f"vehicle {vehicle} sends no IMU messages in this log; {have} does"
+            )
+        return vehicle
 
 
 class TlogSource:
@@ -63,46 +129,33 @@ class TlogSource:
     def __init__(
         self, log: Path, config: Config, sysid: int | None = None, choice: Choice | None = None
     ) -> None:
-        self._frames = frames = read_tlog(log)
-        self._sysid = vehicle_of(frames, sysid)
+        self._blocks = Tlog(log)
+        self._survey = survey = Survey(config.mavlink, sysid)
+        for frames in self._blocks:
+            survey.see(frames)
+        self._sysid = survey.check()
         self.config = config
-        self.seconds = (int(frames.t_us[-1]) - int(frames.t_us[0])) * 1e-6
-        self.damage = {
-            name: getattr(frames.damage, name)
-            for name in ("bad_crc", "unknown", "skipped_bytes", "truncated")
-        }
-        self.truth = truth_of(frames, self._sysid)
+        first_us, last_us = survey.t_us or (0, 0)
+        self.seconds = (last_us - first_us) * 1e-6
+        self.damage = dict(survey.damage)
+        self.truth = survey.truth
         self.reference: Truth | None = None
 
     def feed(self, estimator: Feed, progress: Callable[[float], None]) -> None:
         """The vehicle's packets through an intake."""
-        sysid = self._sysid
-        self._intake = Intake(estimator, self.config.sources)
-        store = ConfigStore(self.config, partial(tune, self._intake), keep=lambda config: "")
-        who = our_identity(self._frames, sysid, self.config.mavlink)
-        _feed(self._intake, store, self._frames, sysid, who, progress)
-        if self._intake.imu.chosen is None:
-            raise LogFormatError(f"the log has no usable IMU messages of vehicle {sysid}")
+        self._intake = intake = Intake(estimator, self.config.sources)
+        store = ConfigStore(self.config, partial(tune, intake), keep=lambda config: "")
+        first_us, last_us = self._survey.t_us or (0, 0)
+        for frames in self._blocks:
+            for t_us in _feed(intake, store, frames, self._sysid, self._survey.identity):
+                progress((t_us - first_us) / max(1, last_us - first_us))
+        progress(1.0)
+        if intake.imu.chosen is None:
+            raise LogFormatError(f"the log has no usable IMU messages of vehicle {self._sysid}")
 
     def summary(self, estimator: Estimator) -> dict[str, Any]:
         """What the intake saw, and what the estimator made of it."""
         return {"sysid": self._sysid, **summarize(estimator, self._intake)}
-
-
-def our_identity(frames: Frames, sysid: int, settings: SessionSettings) -> Identity | None:
-    """Under which ids a live session, seeing these packets, speaks about a vehicle; None for one without an IMU."""
-    imu_at = np.flatnonzero(np.isin(frames.msgid, list(IMU_KINDS)))
-    vehicles, first = np.unique(frames.sysid[imu_at], return_index=True)
-    ours: dict[int, Identity] = {}
-    for k in np.argsort(first).tolist():
-        vehicle = int(vehicles[k])
-        taken = {who.sysid for who in ours.values()}
-        if vehicle not in taken or settings.persona == "companion":
-            before = slice(imu_at[first[k]] + 1)
-            told = ~np.isin(frames.msgid[before], SPOKEN)
-            seen = set(frames.sysid[before][told].tolist())
-            ours[vehicle] = identity_for(vehicle, settings, seen, taken)
-    return ours.get(sysid)
 
 
 def tune(intake: Intake, config: Config) -> None:
@@ -116,9 +169,8 @@ def _feed(
     frames: Frames,
     sysid: int,
     who: Identity | None,
-    progress: Callable[[float], None],
-) -> None:
-    """All of a vehicle's packets, and between them what others asked of us, who speak as `who`."""
+) -> Iterator[int]:
+    """All of a vehicle's packets, and between them what others asked of us, who speak as `who`; gives how far it is."""
     relevant = (frames.sysid == sysid) & np.isin(frames.msgid, RELEVANT)
     if who is not None:
         relevant &= (frames.sysid != who.sysid) | (frames.compid != who.compid)
@@ -133,7 +185,7 @@ def _feed(
             intake.take(part)
         elif who is not None:
             _change(intake.estimator, store, part, who)
-        progress(end / len(chosen))
+        yield int(part.t_us[-1])
 
 
 def _change(estimator: Feed, store: ConfigStore, frames: Frames, who: Identity) -> None:
