@@ -126,7 +126,7 @@ class Tlog:
     is one block at a time. LogFormatError where there are no packets.
     """
 
-    def __init__(self, path: Path, block_size: int = 1 << 24, keep: int = 1 << 26) -> None:
+    def __init__(self, path: Path, block_size: int = 1 << 23, keep: int = 1 << 25) -> None:
         self._path = path
         self._block_size = block_size
         self._keep = keep
