@@ -62,7 +62,7 @@ def vehicle_of(frames: Frames, wanted: int | None = None) -> int:
 
 
 def with_imu(frames: Frames, sysid: int, wanted: str | None) -> Frames:
-    """The packets without those of a vehicle's other IMU messages than the `wanted`; LogFormatError if it is not there."""
+    """The packets without a vehicle's other IMU messages than the `wanted`; LogFormatError if it sends no such."""
     if wanted is None:
         return frames
     of_vehicle = (frames.sysid == sysid) & np.isin(frames.msgid, list(IMU_KINDS))
