@@ -13,6 +13,7 @@ from mavins.cli.choosing import LOG_HELP, add_choice, choice_of
 if TYPE_CHECKING:
     from mavins.logs.inspect import Gap, LogReport, VehicleReport
     from mavins.logs.sensor_log import SensorLog
+    from mavins.types import BaroSample, GnssFix, HeadingFix, MagSample
 
 SUMMARY = """\
 Show what a log holds: its messages with their rates, the vehicles with their IMU, its gaps, reboots
@@ -97,7 +98,12 @@ def sensor_lines(name: str, kind: str, log: SensorLog) -> Iterator[str]:
     yield f"  time       {first:.3f} .. {last:.3f} s on its own clock"
     yield f"  IMU        {log.names['imu']}, {len(log.imu)} samples at {rate:.1f} Hz{_others(log, 'imu')}"
     yield _gap_line(gaps)
-    sensors = {"gnss": log.gnss, "heading": log.headings, "mag": log.mag, "baro": log.baro}
+    sensors: dict[str, Sequence[GnssFix | HeadingFix | MagSample | BaroSample]] = {
+        "gnss": log.gnss,
+        "heading": log.headings,
+        "mag": log.mag,
+        "baro": log.baro,
+    }
     for key, samples in sensors.items():
         label = f"  {LABELS[key]:<11}"
         if not samples:
