@@ -9,7 +9,6 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavins.logs.dataflash.channels import Channel, Reading
 from mavins.logs.truth import Truth
@@ -55,7 +54,7 @@ def truth_of(sim: Channel, sim2: Channel) -> Truth | None:
     if not len(t_us):
         return None
     lla = np.column_stack([np.radians(rows[:, 3:5]), rows[:, 5]])
-    told: NDArray[np.bool_] = np.isfinite(rows[:, 6:]).all(axis=1, keepdims=True)
+    told = np.isfinite(rows[:, 6:].sum(axis=1))[:, None]
     q_lb = np.where(told, rows[:, 6:], _quat(rows))
     norm: FloatArray = np.linalg.norm(q_lb, axis=1)
     usable = np.flatnonzero(np.abs(norm - 1.0) < 0.1)
