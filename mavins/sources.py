@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Final, Protocol
 
 from mavins.config import Config
+from mavins.errors import LogFormatError
 from mavins.estimator.estimator import Estimator
 from mavins.estimator.feed import Feed
 from mavins.evaluation.tape import Tape
@@ -53,6 +54,10 @@ class SensorSource:
     """A log of sensors: everything but telemetry."""
 
     def __init__(self, log: SensorLog, config: Config) -> None:
+        if not log.gnss:
+            raise LogFormatError(
+                "the log has no GNSS fixes: nowhere to start from; see what it holds with: mavins info LOG"
+            )
         self._log = log
         self.config = settled(config, log)
         self.seconds = log.seconds
@@ -106,9 +111,10 @@ def tape_of(
     config: Config,
     sysid: int | None = None,
     progress: Callable[[float], None] = lambda _: None,
+    choice: Choice = DEFAULT,
 ) -> tuple[Tape, Truth | None]:
     """What an estimator would be fed from a log, with the settings that go with it, and what to judge by."""
-    source = source_of(log, config, sysid)
+    source = source_of(log, config, sysid, choice)
     tape = Tape(source.config)
     source.feed(tape, progress)
     return tape, judge_of(source)

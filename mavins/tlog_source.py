@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast, get_args
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from mavins.config import Config
 from mavins.errors import LogFormatError
 from mavins.estimator.estimator import Estimator
 from mavins.estimator.feed import Feed
-from mavins.logs.sensor_log import Choice
+from mavins.logs.sensor_log import DEFAULT, Choice, chosen
 from mavins.logs.tlog import read_tlog
 from mavins.logs.truth import Truth, truth_of
 from mavins.mavlink.asking import SPOKEN
@@ -33,12 +34,15 @@ from mavins.mavlink.parameters import PARAM_SET, set_again
 from mavins.mavlink.peers import Identity
 from mavins.mavlink.requests import SET_GPS_GLOBAL_ORIGIN, decode_packet, is_for
 from mavins.mavlink.settings import SessionSettings
+from mavins.mavlink.sources import GnssSource
 from mavins.outcome import summarize
 from mavins.parameters import ConfigStore
 from mavins.types import Origin
 
 CHANGES = np.array([SET_GPS_GLOBAL_ORIGIN, COMMAND_INT, COMMAND_LONG, PARAM_SET])
 """What others may have asked of us, which a recording holds only where it was carried out."""
+RECEIVERS = {"1": "gps_raw_int", "2": "gps2_raw"}
+"""The number of a receiver -> what speaks of it."""
 CHUNK = 20_000
 """Packets between two reports of progress."""
 
@@ -57,15 +61,41 @@ def vehicle_of(frames: Frames, wanted: int | None = None) -> int:
     return int(senders[0]) if wanted is None else wanted
 
 
+def with_imu(frames: Frames, sysid: int, wanted: str | None) -> Frames:
+    """The packets without a vehicle's other IMU messages than the `wanted`; LogFormatError if it sends no such."""
+    if wanted is None:
+        return frames
+    of_vehicle = (frames.sysid == sysid) & np.isin(frames.msgid, list(IMU_KINDS))
+    there = np.unique(frames.msgid[of_vehicle])
+    names = [name for msgid, name in IMU_KINDS.items() if msgid in there]
+    name = chosen("IMU message", wanted.upper(), names, "")
+    kept = np.array([IMU_KINDS.get(msgid) == name for msgid in frames.msgid[of_vehicle].tolist()])
+    of_vehicle[of_vehicle] = ~kept
+    return frames.select(~of_vehicle)
+
+
+def with_gnss(config: Config, wanted: str | None) -> Config:
+    """The configuration with the `wanted` GNSS message; LogFormatError if none is called so."""
+    if wanted is None:
+        return config
+    names = get_args(GnssSource)
+    name = chosen("GNSS message", RECEIVERS.get(wanted, wanted.lower()), names, "")
+    sources = replace(config.sources, gnss=cast(GnssSource, name))
+    return replace(config, sources=sources)
+
+
 class TlogSource:
     """One vehicle of a telemetry log."""
 
     def __init__(
-        self, log: Path, config: Config, sysid: int | None = None, choice: Choice | None = None
+        self, log: Path, config: Config, sysid: int | None = None, choice: Choice = DEFAULT
     ) -> None:
-        self._frames = frames = read_tlog(log)
+        frames = read_tlog(log)
         self._sysid = vehicle_of(frames, sysid)
-        self.config = config
+        self._frames = frames = with_imu(frames, self._sysid, choice.imu)
+        self.config = with_gnss(config, choice.gnss)
+        if choice.reference is not None:
+            raise LogFormatError("telemetry holds no references to choose from: --reference")
         self.seconds = (int(frames.t_us[-1]) - int(frames.t_us[0])) * 1e-6
         self.damage = {
             name: getattr(frames.damage, name)

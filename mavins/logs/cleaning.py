@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from mavins.types import FloatArray, IntArray
 
 WILD_US: Final = 10_000_000
-"""A stamp so far from the median of its neighbours is damaged: gaps do not look like that, their other side has many."""
+"""A stamp so far from the median of its neighbours is damaged; after a gap there are several of the new time."""
 MAX_RATE: Final = 20.0
 """Hz: more readings of a magnetometer or barometer than this are averaged, for their errors last far longer than 50 ms
 and each reading is an object on its way to the filter."""
@@ -25,7 +25,7 @@ class Cleaner:
         self.dropped: Counter[str] = Counter()
         self.disorder: Counter[str] = Counter()
 
-    def rows(self, table: str, t_us: IntArray, usable: NDArray[np.bool_]) -> IntArray:
+    def rows(self, table: str, t_us: IntArray, usable: NDArray[np.bool_] | np.bool_) -> IntArray:
         """Which rows to take in which order: those that are usable, by their stamps, the first of each stamp."""
         self.dropped[f"{table} unusable"] += int((~usable).sum())
         rows = np.flatnonzero(usable)
@@ -56,5 +56,6 @@ def thinned(t_us: IntArray, values: FloatArray) -> tuple[IntArray, FloatArray]:
     if len(t_us) < 2 or (t_us[-1] - t_us[0]) / (len(t_us) - 1) >= period:
         return t_us, values
     _, first, counts = np.unique(t_us // period, return_index=True, return_counts=True)
-    stamps = t_us[first] + np.add.reduceat(t_us - np.repeat(t_us[first], counts), first) // counts
+    within = np.add.reduceat(t_us - np.repeat(t_us[first], counts), first)
+    stamps: IntArray = t_us[first] + within.astype(np.int64) // counts
     return stamps, np.add.reduceat(values, first, axis=0) / counts[:, None]

@@ -7,22 +7,24 @@ from typing import Final
 
 from mavins.errors import LogFormatError
 from mavins.logs.csv_table import find_table
+from mavins.logs.euroc import root_of
+from mavins.logs.kf_gins import role_of
 from mavins.logs.packed import open_packed
+from mavins.logs.ulog_file import MAGIC
 
-_MAGIC: Final = {
-    b"ULog\x01\x12\x35": "ulog",
+_KINDS: Final = {
+    MAGIC: "ulog",
     b"\xa3\x95\x80": "dataflash",
     b"FMT,": "dataflash",
-    b"FMT ,": "dataflash",
 }
 _OTHERS: Final = {
     b"PK\x03\x04": "a zip archive; unpack it first",
-    b"\xd4\xc3\xb2\xa1": "a packet capture; mavins reads MAVLink from logs and links",
-    b"#ROSBAG": "a ROS bag; mavins does not read those",
-    b"\x89MCAP0\r\n": "an MCAP file; mavins does not read those",
+    b"ULogEnc": "an encrypted .ulge; decrypt it first",
+    b"#ROSBAG": "a ROS bag, which is not read here",
+    b"SQLite format 3": "a ROS 2 bag, which is not read here",
+    b"\x89MCAP0\r\n": "an MCAP file, which is not read here",
 }
 """How files begin that someone may well try."""
-_HEAD: Final = 512
 
 
 def kind_of(log: Path) -> str:
@@ -30,17 +32,23 @@ def kind_of(log: Path) -> str:
     if log.is_dir():
         return _kind_of_folder(log)
     with open_packed(log) as stream:
-        head = stream.read(_HEAD)
-    for magic, kind in _MAGIC.items():
+        head = stream.read(16)
+    for magic, kind in _KINDS.items():
         if head.startswith(magic):
             return kind
     for magic, what in _OTHERS.items():
         if head.startswith(magic):
             raise LogFormatError(f"{log} is {what}")
-    return "tlog"
+    return "tlog" if role_of(log) is None else "kf_gins"
 
 
 def _kind_of_folder(folder: Path) -> str:
     if find_table(folder, "imu") is not None:
         return "csv_folder"
-    return "csv_folder"
+    if root_of(folder) is not None:
+        return "euroc"
+    if any(role_of(file) == "imu" for file in sorted(folder.iterdir()) if file.is_file()):
+        return "kf_gins"
+    raise LogFormatError(
+        f"{folder} is no log: it holds no imu.csv, no imu0/data.csv, and no text file of IMU increments"
+    )

@@ -118,12 +118,13 @@ def read_ulog(path: Path, choice: Choice = DEFAULT) -> SensorLog:
 
 
 def _sources(file: UlogFile, topics: tuple[str, ...]) -> dict[str, Topic]:
-    """Name -> topic of all instances that have data: the bare name where there is only one of a topic."""
+    """Name -> topic of all instances that have data: numbered, but for what the vehicle itself chose."""
     found: dict[str, Topic] = {}
     for name in topics:
         instances = sorted(i for topic, i in file.topics if topic == name)
+        bare = name == topics[0] and instances == [0]
         for i in instances:
-            found[name if instances == [0] else f"{name}.{i}"] = (name, i)
+            found[name if bare else f"{name}.{i}"] = (name, i)
     return found
 
 

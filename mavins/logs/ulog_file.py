@@ -180,7 +180,7 @@ class _Scanner:
         self._least = np.zeros(_IDS, dtype=np.int64)
         self._most = np.full(_IDS, -1, dtype=np.int64)
         self._appended: list[int] = []
-        self._at = np.empty(_PIECE // 4, dtype=np.int64)
+        self._at = np.empty(0, dtype=np.int64)
 
     def read(self, stream: IO[bytes]) -> None:
         """All of a file after its header."""
@@ -207,6 +207,8 @@ class _Scanner:
     def _through(self, data: Bytes, offset: int, closed: bool) -> int:
         """Through a piece that begins at `offset` in the file; returns where a message is not whole."""
         state = np.zeros(3, dtype=np.int64)
+        if len(self._at) < len(data) // _FIELDS + 1:
+            self._at = np.empty(len(data) // _FIELDS + 1, dtype=np.int64)
         while True:
             at = int(state[0])
             bounds = [edge - offset for edge in self._appended if at < edge - offset < len(data)]
@@ -264,7 +266,7 @@ class _Scanner:
         elif kind == "B":
             self._flags(payload)
         elif kind in "PI":
-            self._value(payload)
+            self._value(kind, payload)
         elif kind == "O":
             self._found.dropouts += 1
             self._found.dropout_ms += int.from_bytes(payload[:2], "little")
@@ -278,14 +280,14 @@ class _Scanner:
         if payload[8] & 1:
             self._appended = [edge for edge in struct.unpack("<3Q", payload[16:40]) if edge]
 
-    def _value(self, payload: bytes) -> None:
+    def _value(self, message: str, payload: bytes) -> None:
         """A parameter or a piece of information: the first of a name stands."""
         kind, _, name = payload[1 : 1 + payload[0]].decode("ascii").partition(" ")
         value = payload[1 + payload[0] :]
-        if kind.startswith("char"):
-            self._found.info.setdefault(name, value.decode("utf-8", "replace"))
-        elif kind in ("float", "int32_t"):
+        if message == "P":
             self._found.parameters.setdefault(name, float(np.frombuffer(value, _SCALARS[kind])[0]))
+        elif kind.startswith("char"):
+            self._found.info.setdefault(name, value.decode("utf-8", "replace"))
 
     def _subscribe(self, instance: int, number: int, name: str) -> None:
         """From here on data of this number are a topic's."""
