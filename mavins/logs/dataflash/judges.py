@@ -28,8 +28,9 @@ def _moderate(rows: FloatArray) -> FloatArray:
 _FILTER: Final = Reading((*_EULER, "VN", "VE", "VD", "PN", "PE", "PD"), _moderate)
 _ATTITUDE: Final = Reading(_EULER, _moderate)
 
-_CONTRADICTION: Final = 0.3
-"""A velocity that differs by so many m/s from how the position changes is none."""
+_APART: Final = 0.05
+_STEP: Final = 0.005
+"""SIM and SIM2 contradict each other if they differ by more than so many m, and m per m/s."""
 
 SIM: Final = {"SIM": Reading((*_EULER, "Lat", "Lng", "Alt", *_QUATERNION), _moderate)}
 SIM2: Final = {"SIM2": Reading(("PN", "PE", "PD", "VN", "VE", "VD"), _moderate)}
@@ -64,10 +65,10 @@ def truth_of(sim: Channel, sim2: Channel) -> Truth | None:
     if len(sim2) < 2:
         return Truth(t_us, lla, np.full((len(t_us), 3), np.nan), q_lb, str(sim.source))
     at_us, moves = sim2.table.release()
-    home = _home(t_us, lla, at_us, moves[:, :3])
+    home, apart = _home(t_us, lla, at_us, moves[:, :3])
     turned = np.empty((len(at_us), 4))
     # in place and in blocks, for this is the largest table after the IMU's
-    _forget_false(at_us, moves)
+    _forget_contradicted(moves, at_us, t_us, apart)
     for k in range(0, len(at_us), _BLOCK):
         block = slice(k, k + _BLOCK)
         turned[block] = _between(at_us[block], t_us, q_lb)
@@ -120,20 +121,24 @@ def _lla(home: FloatArray, ned: FloatArray) -> FloatArray:
     return np.column_stack([home[0] + north, home[1] + east, home[2] - ned[:, 2]])
 
 
-def _forget_false(t_us: IntArray, moves: FloatArray) -> None:
-    """Velocities beside positions (N, 6) <- nan where those do not follow: the ground holds a vehicle at take-off."""
-    false = np.zeros(len(t_us), np.bool_)
-    for k in range(3):
-        moved = np.diff(moves[:, k]) / (np.diff(t_us) * 1e-6)
-        told = 0.5 * (moves[1:, 3 + k] + moves[:-1, 3 + k])
-        wrong = np.abs(moved - told) > _CONTRADICTION
-        false[1:] |= wrong
-        false[:-1] |= wrong
-    moves[false, 3:] = np.nan
+def _forget_contradicted(
+    moves: FloatArray, at_us: IntArray, t_us: IntArray, apart: FloatArray
+) -> None:
+    """Positions and velocities (M, 6) at `at_us` <- nan where SIM says another position beside them.
+
+    `apart` (N,) is how far in m the two are at `t_us`; the stamps of both are off by up to a step.
+    """
+    k = np.clip(np.searchsorted(t_us, at_us), 1, max(len(t_us) - 1, 1))
+    worst = np.maximum(apart[k - 1], apart[np.minimum(k, len(t_us) - 1)])
+    speed = np.linalg.norm(moves[:, 3:], axis=1)
+    moves[worst > _APART + _STEP * speed] = np.nan
 
 
-def _home(t_us: IntArray, lla: FloatArray, at_us: IntArray, ned: FloatArray) -> FloatArray:
-    """Where positions (M, 3) at `at_us` count from: the median of what those (N, 3) in degrees say."""
+def _home(
+    t_us: IntArray, lla: FloatArray, at_us: IntArray, ned: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Where positions (M, 3) at `at_us` count from: the median of what those (N, 3) at `t_us` say; and how far in m
+    each of them (N,) is from that."""
     moved = np.column_stack([np.interp(t_us, at_us, ned[:, k]) for k in range(3)])
     backwards = _lla(np.zeros(3), moved)
     east = moved[:, 1] / (_SPHERE * np.cos(lla[:, 0] - 0.5 * backwards[:, 0]))
@@ -141,7 +146,9 @@ def _home(t_us: IntArray, lla: FloatArray, at_us: IntArray, ned: FloatArray) -> 
         [lla[:, 0] - backwards[:, 0], lla[:, 1] - east, lla[:, 2] + moved[:, 2]]
     )
     home: FloatArray = np.median(homes, axis=0)
-    return home
+    off = (homes - home) * (_SPHERE, _SPHERE * np.cos(home[0]), 1.0)
+    apart: FloatArray = np.linalg.norm(off, axis=1)
+    return home, apart
 
 
 def _quat(euler: FloatArray) -> FloatArray:
