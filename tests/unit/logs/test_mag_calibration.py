@@ -60,7 +60,7 @@ def test_mounting_and_hard_iron_are_found(
 
 def test_a_slow_magnetometer_will_do() -> None:
     t_us, gyro, mag_us, field_b = flight(0.4, 1.0)
-    found = calibrate(t_us, gyro, mag_us[::5], field_b[::5] + [0.4, -0.2, 0.3])
+    found = calibrate(t_us, gyro, mag_us[::5], field_b[::5] + np.array([0.4, -0.2, 0.3]))
     assert_allclose(found.hard_iron, [0.4, -0.2, 0.3], atol=0.04)
 
 
