@@ -41,7 +41,6 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
 EXTRAS: Final = {
     "mavsdk": "acceptance",
     "matplotlib": "report",
-    "pyulog": "logs",
     "zstandard": "logs",
 }
 """Modules that come with an optional extra: import name -> the extra's name."""
