@@ -44,7 +44,7 @@ class Estimates:
     @property
     def t_s(self) -> FloatArray:
         """Seconds (N,) on the vehicle's clock."""
-        return self.t_us * 1e-6
+        return np.multiply(self.t_us, 1e-6, dtype=np.float64)
 
     @property
     def lla(self) -> FloatArray:
@@ -83,8 +83,8 @@ class Estimates:
 class Innovations:
     """One aiding's decisions, M of them with m rows each.
 
-    `t_us` (M,) is when the measurement was valid, `stamp_us` (M,) its stamp; `innovation` and `sigma` (M, m), `nis` (M,), with nan where there
-    was none; `accepted` (M,); `reason` (M,) says why not.
+    `t_us` (M,) is when the measurement was valid, `stamp_us` (M,) its stamp; `innovation` and `sigma` (M, m), `nis`
+    (M,), with nan where there was none; `accepted` (M,); `reason` (M,) says why not.
     """
 
     aiding: str
