@@ -5,12 +5,12 @@ A page and the PNGs are made from the same figures. Lines are thinned so that ev
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import numpy as np
 
-from mavins.types import FloatArray
+from mavins.types import FloatArray, IntArray
 
 Style = Literal["line", "dots", "crosses", "band", "steps"]
 Kind = Literal["time", "plain", "map"]
@@ -20,7 +20,7 @@ POINTS: Final = 4_000
 
 BLACK: Final = "#1b1f24"
 GREY: Final = "#8a929c"
-BLUE: Final = "#1664c0"
+BLUE: Final = "#1f75fe"
 ORANGE: Final = "#e07b00"
 GREEN: Final = "#1d8a4a"
 RED: Final = "#d1242f"
@@ -50,6 +50,7 @@ class Panel:
     label: str
     series: tuple[Series, ...]
     log: bool = False
+    from_zero: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +64,7 @@ class Figure:
     kind: Kind = "time"
     x_log: bool = False
     note: str = ""
-    height: int = field(default=200)
+    height: int = 200
 
     def filled(self) -> Figure | None:
         """The figure without the series and panels that have nothing to show; None where none is left."""
@@ -71,24 +72,20 @@ class Figure:
         for panel in self.panels:
             series = tuple(s for s in panel.series if _shows(s, panel.log))
             if any(s.style != "band" and not s.dashed for s in series):
-                panels.append(Panel(panel.label, series, panel.log))
+                panels.append(replace(panel, series=series))
         if not panels:
             return None
-        return Figure(
-            self.key,
-            self.title,
-            tuple(panels),
-            self.x_label,
-            self.kind,
-            self.x_log,
-            self.note,
-            self.height,
-        )
+        return replace(self, panels=tuple(panels))
 
 
 def _shows(series: Series, log: bool) -> bool:
     shown = np.isfinite(series.x) & np.isfinite(series.y)
     return bool((shown & (series.y > 0.0) if log else shown).any())
+
+
+def seconds(t_us: IntArray) -> FloatArray:
+    """Microseconds as seconds."""
+    return np.multiply(t_us, 1e-6, dtype=np.float64)
 
 
 def line(
@@ -144,6 +141,6 @@ def thin(x: FloatArray, y: FloatArray, points: int = POINTS) -> tuple[FloatArray
     return x[kept], y[kept]
 
 
-def _edges(n: int, stretches: int) -> FloatArray:
-    edges: FloatArray = np.unique(np.linspace(0, n, stretches, endpoint=False).astype(np.int64))
+def _edges(n: int, stretches: int) -> IntArray:
+    edges: IntArray = np.unique(np.linspace(0, n, stretches, endpoint=False).astype(np.int64))
     return edges

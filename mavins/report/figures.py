@@ -25,6 +25,7 @@ from mavins.report.drawing import (
     dots,
     level,
     line,
+    seconds,
     thin,
 )
 from mavins.types import FloatArray
@@ -62,7 +63,7 @@ def _others(
                 word,
                 color,
                 word == "reference",
-                truth.t_us * 1e-6,
+                seconds(truth.t_us),
                 truth.lla,
                 truth.v_l,
                 truth.q_lb,
@@ -90,7 +91,7 @@ def track(result: Result) -> Figure:
         series.append(Series("GNSS", east, north, ORANGE, "dots"))
     for name, color, dashed, _, lla, _, _ in _others(result):
         north, east = _north_east(lla[:: _stride(len(lla))], origin)
-        series.append(Series(name, east, north, color, width=2.2, dashed=dashed))
+        series.append(Series(name, east, north, color, width=3.0, dashed=dashed))
     if len(e):
         north, east = _north_east(e.lla[:: _stride(len(e))], origin)
         series.append(Series("estimate", east, north, BLUE))
@@ -131,15 +132,15 @@ def motion(result: Result) -> Figure:
     if result.evidence is not None and len(result.evidence.gnss.t_us):
         gnss = result.evidence.gnss
         known = gnss.fix_type >= 2
-        t = gnss.t_us[known] * 1e-6
+        t = seconds(gnss.t_us[known])
         v = gnss.v_l[known]
         altitude.append(dots("GNSS", t, gnss.lla[known, 2], ORANGE))
         ground.append(dots("GNSS", t, np.hypot(v[:, 0], v[:, 1]), ORANGE))
         climb.append(dots("GNSS", t, -v[:, 2], ORANGE))
     for name, color, dashed, t, lla, v, _ in _others(result):
-        altitude.append(line(name, t, lla[:, 2], color, 2.2, dashed))
-        ground.append(line(name, t, np.hypot(v[:, 0], v[:, 1]), color, 2.2, dashed))
-        climb.append(line(name, t, -v[:, 2], color, 2.2, dashed))
+        altitude.append(line(name, t, lla[:, 2], color, 3.0, dashed))
+        ground.append(line(name, t, np.hypot(v[:, 0], v[:, 1]), color, 3.0, dashed))
+        climb.append(line(name, t, -v[:, 2], color, 3.0, dashed))
     v = e.v_l
     altitude.append(line("estimate", e.t_s, e.lla[:, 2], BLUE))
     ground.append(line("estimate", e.t_s, np.hypot(v[:, 0], v[:, 1]), BLUE))
@@ -161,13 +162,13 @@ def attitude(result: Result) -> Figure:
     panels: list[list[Series]] = [[], [], []]
     if result.evidence is not None and len(result.evidence.yaw):
         yaw = np.remainder(result.evidence.yaw * DEG + 180.0, 360.0) - 180.0
-        panels[2].append(dots("heading", result.evidence.heading_us * 1e-6, yaw, ORANGE))
+        panels[2].append(dots("heading", seconds(result.evidence.heading_us), yaw, ORANGE))
     for name, color, dashed, t, _, _, q in _others(result):
         t, q = t[:: _stride(len(t))], q[:: _stride(len(q))]
         euler = np.array([quat_to_euler(one) for one in q]).reshape(-1, 3) * DEG
         for i in range(3):
             panels[i].append(
-                Series(name, *_unbroken(t, euler[:, i]), color, width=2.2, dashed=dashed)
+                Series(name, *_unbroken(t, euler[:, i]), color, width=3.0, dashed=dashed)
             )
     for i in range(3):
         x, y = thin(e.t_s, e.euler[:, i] * DEG)
@@ -184,37 +185,37 @@ def _unbroken(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def errors(result: Result) -> Iterator[Figure]:
     """Errors inside their 3 sigma; without anything to compare to, the sigmas alone."""
-    e, found, judge = result.estimates, result.errors(), result.judge
+    e, found = result.estimates, result.errors()
     kinds = (
-        ("position", "m", _NED, e.sd_p, 1.0, found and found.pos),
-        ("velocity", "m/s", _NED, e.sd_v, 1.0, found and found.vel),
-        ("attitude", "deg", _EULER, e.sd_euler, DEG, found and found.att),
+        ("position", "m", _NED, e.sd_p, 1.0, None if found is None else found.pos),
+        ("velocity", "m/s", _NED, e.sd_v, 1.0, None if found is None else found.vel),
+        ("attitude", "deg", _EULER, e.sd_euler, DEG, None if found is None else found.att),
     )
     for kind, unit, names, sigma, scale, error in kinds:
+        judged = error is not None and bool(np.isfinite(error).any())
         panels = []
         for i, name in enumerate(names):
             s = 3.0 * scale * sigma[:, i]
-            label = f"{name}, {unit}"
-            if found is None or error is None or not np.isfinite(error[:, i]).any():
-                panels.append(Panel(label, (line(_BAND, e.t_s, s, BLUE),)))
-                continue
-            series = (
-                band(_BAND, e.t_s, -s, s),
-                line(
-                    "estimate - " + ("truth" if result.is_true else "reference"),
-                    found.t_us * 1e-6,
-                    scale * error[:, i],
-                    BLUE,
-                ),
-            )
-            panels.append(Panel(label, series))
-        if judge is None or error is None or not np.isfinite(error).any():
-            title = f"{kind.capitalize()}: 3 sigma of the estimate"
-        elif result.is_true:
-            title = f"{kind.capitalize()} error against {judge.source}"
-        else:
-            title = f"{kind.capitalize()}: difference to {judge.source}"
+            if found is None or error is None or not judged:
+                series: tuple[Series, ...] = (line(_BAND, e.t_s, s, BLUE),)
+            else:
+                word = f"estimate - {'truth' if result.is_true else 'reference'}"
+                series = (
+                    band(_BAND, e.t_s, -s, s),
+                    line(word, seconds(found.t_us), scale * error[:, i], BLUE),
+                )
+            panels.append(Panel(f"{name}, {unit}", series))
+        title = _title(kind, result if judged else None)
         yield Figure(f"error_{kind}", title, tuple(panels), height=170)
+
+
+def _title(kind: str, judged: Result | None) -> str:
+    source = "" if judged is None or judged.judge is None else judged.judge.source
+    if judged is None:
+        return f"{kind.capitalize()}: 3 sigma of the estimate"
+    if judged.is_true:
+        return f"{kind.capitalize()} error against {source}"
+    return f"{kind.capitalize()}: difference to {source}"
 
 
 def states(result: Result) -> Iterator[Figure]:
@@ -243,6 +244,6 @@ def states(result: Result) -> Iterator[Figure]:
             series.append(line("estimate", e.t_s, value, AXIS_COLORS[0]))
             if setting is not None:
                 series.append(level("setting", e.t_s, scale * setting[i]))
-            part = name.rsplit("_", 1)[-1] if len(names) > 1 else title.lower()
+            part = name.rsplit("_", 1)[-1] if len(names) > 1 else title.partition(" ")[0].lower()
             panels.append(Panel(f"{part}, {unit}", tuple(series)))
         yield Figure(key, title, tuple(panels), height=170 if len(panels) > 1 else 240)

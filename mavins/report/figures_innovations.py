@@ -28,7 +28,9 @@ from mavins.report.drawing import (
     dots,
     level,
     line,
+    seconds,
 )
+from mavins.types import FloatArray
 
 _WIDTH: Final = 50
 """Measurements of a running mean."""
@@ -65,7 +67,7 @@ def gate_of(result: Result, aiding: str) -> float:
 def sequence(result: Result, name: str, innovations: Innovations) -> Figure:
     """Innovations with 3 sigma, what was refused by its reason, and the NIS with its gate."""
     unit, scale, parts = _UNITS.get(name, ("", 1.0, ("0", "1", "2")))
-    t = innovations.t_us * 1e-6
+    t = seconds(innovations.t_us)
     used = innovations.accepted
     reasons = sorted(set(innovations.reason[~used].tolist()))
     panels = []
@@ -87,8 +89,8 @@ def sequence(result: Result, name: str, innovations: Innovations) -> Figure:
     return Figure(name, f"Innovations of {words(name)}", tuple(panels), height=170)
 
 
-def _refused(innovations: Innovations, reasons: list[str], values: np.ndarray) -> list[Series]:
-    t = innovations.t_us * 1e-6
+def _refused(innovations: Innovations, reasons: list[str], values: FloatArray) -> list[Series]:
+    t = seconds(innovations.t_us)
     found = []
     for k, reason in enumerate(reasons):
         at = (innovations.reason == reason) & ~innovations.accepted
@@ -106,7 +108,7 @@ def nis(result: Result) -> Figure:
         if width < 5:
             continue
         rows = int(np.isfinite(m.innovation).sum(axis=1).max())
-        t = m.t_us[width - 1 :] * 1e-6
+        t = seconds(m.t_us[width - 1 :])
         low, high = nis_band(rows, width)
         ends = t[[0, -1]]
         panels.append(
@@ -136,7 +138,6 @@ def whiteness(result: Result) -> Figure:
     panels = []
     lags = np.arange(1.0, _LAGS + 1.0)
     for name, innovations in result.innovations.items():
-        _, _, parts = _UNITS.get(name, ("", 1.0, ("0", "1", "2")))
         normalized = (innovations.innovation / innovations.sigma)[innovations.accepted]
         if len(normalized) < 3 * _LAGS:
             continue

@@ -23,6 +23,7 @@ from mavins.report.drawing import (
     dots,
     level,
     line,
+    seconds,
 )
 from mavins.types import FloatArray, IntArray
 
@@ -44,17 +45,21 @@ def of_sensors(result: Result) -> Iterator[Figure]:
 def gnss_quality(evidence: Evidence) -> Figure:
     """What the receiver says of itself."""
     gnss = evidence.gnss
-    t = gnss.t_us * 1e-6
+    t = seconds(gnss.t_us)
     claims = (("horizontal", BLUE), ("vertical", GREEN))
     accuracy = [line(n, t, gnss.sigmas[:, i], c) for i, (n, c) in enumerate(claims)]
     return Figure(
         "gnss_quality",
         "GNSS quality, as the receiver reports it",
         (
-            Panel("accuracy, m", tuple(accuracy)),
-            Panel("speed acc., m/s", (line("speed", t, gnss.sigmas[:, 2], ORANGE),)),
-            Panel("satellites", (line("satellites", t, gnss.satellites, BLACK),)),
-            Panel("fix type", (line("fix type", t, gnss.fix_type.astype(np.float64), PURPLE),)),
+            Panel("accuracy, m", tuple(accuracy), from_zero=True),
+            Panel("speed, m/s", (line("speed", t, gnss.sigmas[:, 2], ORANGE),), from_zero=True),
+            Panel("satellites", (line("satellites", t, gnss.satellites, BLACK),), from_zero=True),
+            Panel(
+                "fix type",
+                (line("fix type", t, gnss.fix_type.astype(np.float64), PURPLE),),
+                from_zero=True,
+            ),
         ),
         height=150,
         note="Fix types: 2 is 2-D, 3 is 3-D, 4 differential, 5 and 6 RTK.",
@@ -94,7 +99,7 @@ def spectrum(result: Result, evidence: Evidence) -> Figure:
 def vibration(evidence: Evidence) -> Figure:
     """The spread within each second, and samples at the accelerometer's limit."""
     imu = evidence.imu
-    t = imu.t_us * 1e-6
+    t = seconds(imu.t_us)
     gyro = [
         line(axis, t, np.degrees(imu.spread[:, i]), AXIS_COLORS[i]) for i, axis in enumerate(_AXES)
     ]
@@ -111,10 +116,10 @@ def vibration(evidence: Evidence) -> Figure:
 def rates(evidence: Evidence) -> Figure:
     """How many readings a second, and the longest interval in it."""
     imu = evidence.imu
-    t = imu.t_us * 1e-6
+    t = seconds(imu.t_us)
     inside = slice(1, -1) if len(t) > 2 else slice(None)  # the ends are parts of a second
     first = line("IMU", t[inside], imu.count[inside].astype(np.float64), BLUE)
-    longest = [line("IMU", t, 1e-3 * imu.longest_us, BLUE)]
+    longest = [line("IMU", t, 1e3 * seconds(imu.longest_us), BLUE)]
     others: list[Series] = []
     for name, t_us, color in (
         ("GNSS", evidence.gnss.t_us, ORANGE),
@@ -126,13 +131,13 @@ def rates(evidence: Evidence) -> Figure:
             continue
         others.append(line(name, *_per_second(t_us), color))
         steps = 1e-3 * np.diff(t_us)
-        longest.append(dots(name, t_us[1:] * 1e-6, np.maximum(steps, 1e-3), color))
+        longest.append(dots(name, seconds(t_us[1:]), np.maximum(steps, 1e-3), color))
     return Figure(
         "rates",
         "Rates and gaps of the sensors",
         (
-            Panel("IMU, Hz", (first,)),
-            Panel("others, Hz", tuple(others)),
+            Panel("IMU, Hz", (first,), from_zero=True),
+            Panel("others, Hz", tuple(others), from_zero=True),
             Panel("interval, ms", tuple(longest), log=True),
         ),
         note="Of the IMU the longest interval of each second; of the others every one.",

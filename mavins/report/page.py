@@ -94,22 +94,23 @@ def _duration(result: Result) -> float:
 
 def _errors(summary: dict[str, Any]) -> str:
     """The table of errors: what is compared, RMS and largest."""
-    rows = []
+    rows, said = [], ""
     for key, words in _JUDGED:
         judged = summary.get(key) or {}
         for name, label, axes in _COLUMNS:
             if name not in (judged.get("rms") or {}):
                 continue
             source = escape(f"{words} {judged.get('source', '')}".strip())
+            source, said = ("" if source == said else source), source
             cells = "".join(
                 f"<td>{float(value):.3f}</td>"
                 for kind in ("rms", "max")
                 for value in judged[kind][name]
             )
-            rows.append(f"<tr><td>{source}</td><td>{label} ({'/'.join(axes)})</td>{cells}</tr>")
+            rows.append(f"<tr><th>{source}</th><th>{label} ({'/'.join(axes)})</th>{cells}</tr>")
     if not rows:
         return ""
-    head = '<tr><th></th><th></th><th colspan="3">RMS</th><th colspan="3">largest</th></tr>'
+    head = '<tr><th></th><th></th><td colspan="3">RMS</td><td colspan="3">largest</td></tr>'
     return f"<table>{head}{''.join(rows)}</table>"
 
 
@@ -123,7 +124,7 @@ def _finding(finding: Finding, keys: set[str]) -> str:
 
 
 def _links(sections: Sequence[tuple[str, Sequence[Figure]]]) -> str:
-    return "".join(
+    return "\n".join(
         f'<a href="#{figure.key}">{escape(figure.title.partition(":")[0])}</a>'
         for _, group in sections
         for figure in group

@@ -83,6 +83,7 @@ def _layout(figure: Figure, extent: tuple[float, float] | None) -> dict[str, Any
             "type": "log" if panel.log else "linear",
             "exponentformat": "power",
             "hoverformat": ".4~g",
+            "rangemode": "tozero" if panel.from_zero else "normal",
             "nticks": max(4, figure.height // 35),
         }
     if figure.kind == "map":
