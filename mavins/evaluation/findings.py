@@ -119,7 +119,7 @@ def against_truth(result: Result) -> Iterator[Finding]:
         yield Finding(
             "note",
             f"The log has no truth. The estimate differs from {judge.source} by {listed(told)} RMS; "
-            "which has errors of its own.",
+            "that has errors of its own.",
             figure="error_position",
         )
 

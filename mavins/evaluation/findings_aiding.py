@@ -129,7 +129,7 @@ def rejected(result: Result) -> Iterator[Finding]:
                 continue
             quiet = False
             bad = share > _REJECTED[1]
-            text = f"{100 * share:.1f} % of {words(name)} were refused ({count} of {n}): "
+            text = f"{100 * share:.1f} % of the {words(name)} measurements were refused ({count} of {n}): "
             if reason == "gate":
                 yield Finding(
                     "wrong" if bad else "note",

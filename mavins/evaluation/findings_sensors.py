@@ -152,7 +152,7 @@ def fixes(result: Result) -> Iterator[Finding]:
         )
     if good:
         yield Finding(
-            "fine", f"GNSS came steadily, {1 / usual:.2g} fixes a second.", figure="gnss_quality"
+            "fine", f"GNSS came steadily, every {usual:.2g} s.", figure="gnss_quality"
         )
 
 

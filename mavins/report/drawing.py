@@ -24,6 +24,7 @@ BLUE: Final = "#1f75fe"
 ORANGE: Final = "#e07b00"
 GREEN: Final = "#1d8a4a"
 RED: Final = "#d1242f"
+PINK: Final = "#d6277f"
 PURPLE: Final = "#8250df"
 AXIS_COLORS: Final = (BLUE, GREEN, ORANGE)
 

@@ -17,7 +17,7 @@ from mavins.report.drawing import (
     GREEN,
     GREY,
     ORANGE,
-    PURPLE,
+    PINK,
     Figure,
     Panel,
     Series,
@@ -56,7 +56,7 @@ def _others(
         return
     for truth, word, color in (
         (result.evidence.truth, "truth", BLACK),
-        (result.evidence.reference, "reference", PURPLE),
+        (result.evidence.reference, "reference", PINK),
     ):
         if truth is not None:
             yield (
@@ -212,10 +212,10 @@ def errors(result: Result) -> Iterator[Figure]:
 def _title(kind: str, judged: Result | None) -> str:
     source = "" if judged is None or judged.judge is None else judged.judge.source
     if judged is None:
-        return f"{kind.capitalize()}: 3 sigma of the estimate"
+        return f"{kind.capitalize()}, 3 sigma of the estimate"
     if judged.is_true:
         return f"{kind.capitalize()} error against {source}"
-    return f"{kind.capitalize()}: difference to {source}"
+    return f"{kind.capitalize()} difference to {source}"
 
 
 def states(result: Result) -> Iterator[Figure]:

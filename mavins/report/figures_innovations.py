@@ -51,8 +51,8 @@ _REFUSED: Final = (RED, PURPLE, ORANGE, BLACK)
 
 def of_innovations(result: Result) -> Iterator[Figure]:
     """One figure per aiding, the NIS of all, and how white they are."""
-    for name, innovations in result.innovations.items():
-        yield sequence(result, name, innovations)
+    for name in sorted(result.innovations, key=lambda name: name.startswith("zero")):
+        yield sequence(result, name, result.innovations[name])
     yield nis(result)
     yield whiteness(result)
 
