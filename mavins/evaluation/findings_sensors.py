@@ -151,9 +151,7 @@ def fixes(result: Result) -> Iterator[Finding]:
             figure="gnss_quality",
         )
     if good:
-        yield Finding(
-            "fine", f"GNSS came steadily, every {usual:.2g} s.", figure="gnss_quality"
-        )
+        yield Finding("fine", f"GNSS came steadily, every {usual:.2g} s.", figure="gnss_quality")
 
 
 def _steps(t_us: IntArray) -> tuple[float, float, float]:
