@@ -27,6 +27,7 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     ),
     "sitl": ("mavins.cli.sitl", "fly the simulator: sensors and truth as MAVLink"),
     "replay": ("mavins.cli.replay", "run the estimator on a log"),
+    "report": ("mavins.cli.report", "make the report of a result folder again"),
     "compare": ("mavins.cli.compare", "run several filters on the same samples"),
     "observe": ("mavins.cli.observe", "which states a flight makes observable, and when"),
     "play": ("mavins.cli.play", "send a log's packets into a UDP port at their own pace"),
@@ -41,6 +42,7 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
 EXTRAS: Final = {
     "mavsdk": "acceptance",
     "matplotlib": "report",
+    "plotly": "report",
     "zstandard": "logs",
 }
 """Modules that come with an optional extra: import name -> the extra's name."""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import math
+import shlex
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +26,8 @@ examples:
   mavins replay flight/ --out result    a folder with imu.csv, gnss.csv, mag.csv, ... (.xz, .gz)
   mavins replay flight.ulg --out result --imu 1 --gnss sensor_gps.1
 
-writes: OUT/<filter>/estimates.csv, innovations.csv, config.yaml and OUT/summary.json;
-with --smooth also OUT/<filter>/smoothed.csv"""
+writes: OUT/<filter>/estimates.csv, innovations.csv, config.yaml, evidence.npz, OUT/summary.json
+and OUT/report.html; with --smooth also OUT/<filter>/smoothed.csv"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -58,6 +60,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="also write smoothed.csv: estimates that know what came later (Rauch-Tung-Striebel)",
     )
 
+    parser.add_argument(
+        "--no-report", action="store_true", help="write no report.html (mavins report makes it)"
+    )
+
 
 def run(args: argparse.Namespace) -> int:
     """Replay and print the summary."""
@@ -75,7 +81,25 @@ def run(args: argparse.Namespace) -> int:
         summary = replay(args.log, args.out, config, options, report)
     if args.verbosity >= 0:
         print("\n".join(lines_of(summary, args.out)))
+    if not args.no_report:
+        _report(args.out)
     return 0
+
+
+def _report(out: Path) -> None:
+    """Write the report; without the extra, say how to get it: the results are whole without it."""
+    try:
+        from mavins.report import write_report
+
+        write_report(out)
+    except ModuleNotFoundError as error:
+        if error.name is None or error.name.partition(".")[0] != "plotly":
+            raise
+        print(
+            "mavins: no report.html: plotly is not installed; install it with: "
+            "pip install 'mavins[report]', then: mavins report " + shlex.quote(str(out)),
+            file=sys.stderr,
+        )
 
 
 def _check_bounds(start: float | None, end: float | None, rate: float) -> None:
