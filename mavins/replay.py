@@ -19,9 +19,10 @@ from mavins.estimator.solution import EULER, LLA, V_L, WIDTH
 from mavins.evaluation.errors import errors_against
 from mavins.logs.sensor_log import DEFAULT, Choice
 from mavins.logs.truth import Truth
-from mavins.results import EstimatesFile, ResultWriter, write_json, write_text
+from mavins.results import FILES, SUMMARY, EstimatesFile, ResultWriter, write_json, write_text
 from mavins.sources import judge_of, source_of
 from mavins.types import FloatArray, IntArray
+from mavins.whole_folder import written_whole
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +55,18 @@ def replay(
 
     Raises LogFormatError for what is not a log with an IMU, OutputError where `out` cannot be written.
     """
+    own = [f"{config.filter}/{name}" for name in FILES]
+    with written_whole(out, SUMMARY, own) as aside:
+        return _replay(log, aside, config, options, progress)
+
+
+def _replay(
+    log: Path,
+    out: Path,
+    config: Config,
+    options: ReplayOptions,
+    progress: Callable[[float], None],
+) -> dict[str, Any]:
     wall, cpu = time.perf_counter(), time.process_time()
     source = source_of(log, config, options.sysid, options.choice)
     config = source.config
@@ -88,7 +101,7 @@ def replay(
     summary["wall_s"] = time.perf_counter() - wall
     summary["cpu_s"] = time.process_time() - cpu
     summary["times_real_time"] = source.seconds / summary["cpu_s"]
-    write_json(out / "summary.json", summary)
+    write_json(out / SUMMARY, summary)
     return summary
 
 
