@@ -17,6 +17,8 @@ from mavins.estimator.history import History
 from mavins.estimator.smoothing import smooth
 from mavins.estimator.solution import EULER, LLA, V_L, WIDTH
 from mavins.evaluation.errors import errors_against
+from mavins.evaluation.evidence import FILE, write_evidence
+from mavins.evaluation.witness import Witness
 from mavins.logs.sensor_log import DEFAULT, Choice
 from mavins.logs.truth import Truth
 from mavins.results import FILES, SUMMARY, EstimatesFile, ResultWriter, write_json, write_text
@@ -81,9 +83,11 @@ def _replay(
         grid = grid_us(options.rate)
         outputs = Outputs(grid, writer.write_rows, writer.write_decision, history)
         estimator = Estimator(config, config.filter, outputs)
-        source.feed(estimator, progress)
+        witness = Witness(estimator)
+        source.feed(witness, progress)
         estimator.finish()
     write_text(folder / "config.yaml", to_yaml(config))
+    write_evidence(folder / FILE, witness.evidence(source.truth, source.reference))
     t_us, rows = writer.table()
     summary: dict[str, Any] = {"mavins": __version__, "log": str(log), "filter": config.filter}
     summary |= source.summary(estimator)
