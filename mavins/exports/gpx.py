@@ -8,7 +8,7 @@ from xml.sax.saxutils import XMLGenerator
 
 from mavins import __version__
 from mavins.evaluation.result_folder import Result
-from mavins.exports.places import Stretch, tracks, utc_offset_us, utc_text
+from mavins.exports.places import Stretch, tracks, utc_offset_us, utc_texts
 from mavins.exports.xml_text import element, leaf
 
 FILES: Final = ("track.gpx",)
@@ -34,8 +34,9 @@ def write(result: Result, folder: Path) -> None:
 
 def _segment(xml: XMLGenerator, part: Stretch, offset_us: int | None) -> None:
     with element(xml, "trkseg"):
-        for t_us, (lat, lon, alt) in zip(part.t_us.tolist(), part.degrees.tolist(), strict=True):
+        times = utc_texts(part.t_us, offset_us)
+        for time, (lat, lon, alt) in zip(times, part.degrees.tolist(), strict=True):
             with element(xml, "trkpt", lat=f"{lat:.8f}", lon=f"{lon:.8f}"):
                 leaf(xml, "ele", f"{alt:.3f}")
-                if offset_us is not None:
-                    leaf(xml, "time", utc_text(t_us, offset_us))
+                if time:
+                    leaf(xml, "time", time)

@@ -10,7 +10,7 @@ from typing import Final
 from xml.sax.saxutils import XMLGenerator
 
 from mavins.evaluation.result_folder import Result
-from mavins.exports.places import Stretch, tracks, utc_offset_us, utc_text
+from mavins.exports.places import Stretch, tracks, utc_offset_us, utc_texts
 from mavins.exports.xml_text import element, leaf
 
 FILES: Final = ("track.kml",)
@@ -55,7 +55,7 @@ def _placemark(xml: XMLGenerator, name: str, part: Stretch, offset_us: int | Non
             return
         with element(xml, "gx:Track"):
             leaf(xml, "altitudeMode", "absolute")
-            for t_us in part.t_us.tolist():
-                leaf(xml, "when", utc_text(t_us, offset_us))
+            for time in utc_texts(part.t_us, offset_us):
+                leaf(xml, "when", time)
             for lon, lat, alt in places:
                 leaf(xml, "gx:coord", f"{lon:.8f} {lat:.8f} {alt:.3f}")

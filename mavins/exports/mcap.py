@@ -48,6 +48,8 @@ INNOVATION: Final = {
 }
 """The JSON schema of /innovations/<aiding>."""
 _HALF: Final = float(np.sqrt(0.5))
+_SELDOM_US: Final = 100_000
+"""Poses come with every estimate; what says the same and more comes no more often than this."""
 _Log = tuple[int, Callable[[int], None]]
 """Nanoseconds, and what logs a message at them."""
 
@@ -118,7 +120,7 @@ def _stamp(ns: int) -> Any:
 
 
 def _estimates(result: Result, offset_us: int, context: Any) -> Iterator[_Log]:
-    """Every estimate as a pose, as odometry with its sigmas, as a place on Earth, and as a transform."""
+    """Every estimate as a pose, and some as odometry with their sigmas, as a place on Earth, and as a transform."""
     from foxglove import channels
     from foxglove import messages as m
 
@@ -146,17 +148,20 @@ def _estimates(result: Result, offset_us: int, context: Any) -> Iterator[_Log]:
 
     yield (int(e.t_us[0]) + offset_us) * 1000, root
     finite = np.isfinite(np.hstack([p_n, q_nb, lla])).all(axis=1)
+    is_whole = np.diff(e.t_us // _SELDOM_US, prepend=-1) != 0
     for k in np.flatnonzero(finite).tolist():
 
         def log(ns: int, k: int = k) -> None:
             at = _stamp(ns)
             w, x, y, z = q_nb[k].tolist()
             turn = m.Quaternion(x=x, y=y, z=z, w=w)
-            place = dict(zip("xyz", p_n[k].tolist(), strict=True))
-            pose = m.Pose(position=m.Vector3(**place), orientation=turn)
+            place = _vector(p_n[k])
+            pose = m.Pose(position=place, orientation=turn)
             pose_channel.log(
                 m.PoseInFrame(timestamp=at, frame_id="n", pose=pose), log_time=ns
             )
+            if not is_whole[k]:
+                return
             odometry_channel.log(
                 m.Odometry(
                     timestamp=at,
@@ -187,7 +192,7 @@ def _estimates(result: Result, offset_us: int, context: Any) -> Iterator[_Log]:
                     timestamp=at,
                     parent_frame_id="n",
                     child_frame_id="body",
-                    translation=m.Vector3(**place),
+                    translation=place,
                     rotation=turn,
                 ),
                 log_time=ns,

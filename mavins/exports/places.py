@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
 from typing import Final
 
 import numpy as np
@@ -13,11 +12,10 @@ from mavins.errors import LogFormatError
 from mavins.evaluation.result_folder import Result
 from mavins.types import FloatArray, IntArray
 
-TRACK_US: Final = 200_000
+TRACK_US: Final = 500_000
 """Points of a track for maps are at least so far apart: they show no more, and choke on more."""
 GAP_US: Final = 2_000_000
 """A longer time without a point parts a track."""
-_EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,10 +32,12 @@ def utc_offset_us(result: Result) -> int | None:
     return int(offset) if isinstance(offset, int | float) else None
 
 
-def utc_text(t_us: int, offset_us: int) -> str:
-    """An instant as in ISO 8601."""
-    at = _EPOCH + timedelta(microseconds=t_us + offset_us)
-    return at.isoformat(timespec="milliseconds").replace("+00:00", "Z")
+def utc_texts(t_us: IntArray, offset_us: int | None) -> list[str]:
+    """Instants (N,) as in ISO 8601; nothing where the vehicle has not told UTC."""
+    if offset_us is None:
+        return [""] * len(t_us)
+    texts = np.datetime_as_string((t_us + offset_us).astype("datetime64[us]"), unit="ms")
+    return [f"{text}Z" for text in texts.tolist()]
 
 
 def tracks(result: Result) -> Iterator[tuple[str, list[Stretch]]]:

@@ -9,10 +9,11 @@ import numpy as np
 
 from mavins.evaluation.result_folder import Result
 from mavins.exports.places import attitude_in_n
+from mavins.table_text import csv_lines
 
 FILES: Final = ("estimates.tum",)
 NEEDS: Final = ()
-_FORMAT: Final = "%.6f %.4f %.4f %.4f %.9f %.9f %.9f %.9f"
+_DECIMALS: Final = np.array([6, 4, 4, 4, 9, 9, 9, 9])
 
 
 def write(result: Result, folder: Path) -> None:
@@ -23,5 +24,7 @@ def write(result: Result, folder: Path) -> None:
         [estimates.t_s, estimates.stack("p_n", "p_e", "p_d"), q[:, 1:], q[:, :1]]
     )
     rows = rows[np.isfinite(rows).all(axis=1)]
-    with (folder / FILES[0]).open("w", encoding="ascii", newline="\n") as file:
-        np.savetxt(file, rows, _FORMAT)
+    # the quick writer begins each line with an integer, which is not wanted here
+    lines = b"\n" + csv_lines(np.zeros(len(rows), dtype=np.int64), rows, _DECIMALS)
+    text = lines.replace(b"\n0,", b"\n").replace(b",", b" ")
+    (folder / FILES[0]).write_bytes(text.removeprefix(b"\n"))
