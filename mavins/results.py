@@ -30,7 +30,8 @@ from mavins.types import FloatArray, IntArray
 ESTIMATES: Final = (
     "t_us,lat_deg,lon_deg,alt_m,p_n,p_e,p_d,v_n,v_e,v_d,roll,pitch,yaw,q_w,q_x,q_y,q_z,"
     "sd_p_n,sd_p_e,sd_p_d,sd_v_n,sd_v_e,sd_v_d,sd_roll,sd_pitch,sd_yaw,"
-    "b_g_x,b_g_y,b_g_z,b_a_x,b_a_y,b_a_z"
+    "b_g_x,b_g_y,b_g_z,b_a_x,b_a_y,b_a_z,"
+    "sd_b_g_x,sd_b_g_y,sd_b_g_z,sd_b_a_x,sd_b_a_y,sd_b_a_z"
 )
 EXTRA: Final = {
     "l_b": "l_b_x,l_b_y,l_b_z,sd_l_b_x,sd_l_b_y,sd_l_b_z",
@@ -46,9 +47,15 @@ INNOVATIONS: Final = (
 )
 SUMMARY: Final = "summary.json"
 """Written last: a folder that has it is whole."""
-FILES: Final = ("estimates.csv", "innovations.csv", "smoothed.csv", "gnss.csv", "config.yaml")
-"""What there may be in a filter's folder."""
-_DECIMALS: Final = np.array([10, 10, 4] + [6] * 6 + [9] * 7 + [6] * 6 + [9] * 9, dtype=np.int64)
+FILES: Final = (
+    "estimates.csv",
+    "innovations.csv",
+    "smoothed.csv",
+    "evidence.npz",
+    "config.yaml",
+)
+"""What there may be in a filter's folder, exports aside."""
+_DECIMALS: Final = np.array([10, 10, 4] + [6] * 6 + [9] * 7 + [6] * 6 + [9] * 15, dtype=np.int64)
 """Of each column after t_us: lat and lon in degrees to 10 um, metres and m/s to a millionth, angles to a nanoradian."""
 _HEAD: Final = "%d,%d,%s,%s,%d,%s,%.9g"
 _DECISION: Final = [_HEAD + 2 * (",%.9g" * m + "," * (3 - m)) + "\n" for m in range(4)]
@@ -66,7 +73,7 @@ class EstimatesFile:
         self.file = _open(path, ",".join([ESTIMATES, *(EXTRA[name] for name in self._extra)]))
 
     def table(self, block: RowBlock, frame: TangentFrame) -> FloatArray:
-        """A block's estimates as a table (N, 31 + k): described rows, then the further states."""
+        """A block's estimates as a table (N, 37 + k): described rows, the biases' sigmas, then the further states."""
         rows = np.empty((block.count, WIDTH))
         describe(block.x[: block.count], block.P[: block.count], frame.r0_e, frame.C_ne, rows)
         return np.hstack([rows, self._further(block)])
@@ -75,7 +82,7 @@ class EstimatesFile:
         """Write the rows of a table."""
         shown = table.copy()
         shown[:, :2] *= _DEGREES
-        decimals = np.append(_DECIMALS, np.full(table.shape[1] - WIDTH, 6))
+        decimals = np.append(_DECIMALS, np.full(table.shape[1] - len(_DECIMALS), 6))
         with _or_say_so(self.file):
             self.file.write(csv_lines(t_us, shown, decimals).decode("ascii"))
 
@@ -85,17 +92,13 @@ class EstimatesFile:
             self.file.close()
 
     def _further(self, block: RowBlock) -> FloatArray:
-        """The columns of further states (N, k): values, then sigmas, for each block in turn."""
+        """The columns (N, 6 + k) of the biases' sigmas, and of further states: values, then sigmas, block by block."""
         n = block.count
-        parts = [np.empty((n, 0))]
-        if self._extra:
-            sigmas = self._layout.sigmas(block.P[:n])
-            for name in self._extra:
-                columns = BLOCKS[name]
-                parts += [
-                    block.x[:n, columns.start + 1 : columns.stop + 1],
-                    sigmas[:, columns],
-                ]
+        sigmas = self._layout.sigmas(block.P[:n])
+        parts = [sigmas[:, BLOCKS["b_g"]], sigmas[:, BLOCKS["b_a"]]]
+        for name in self._extra:
+            columns = BLOCKS[name]
+            parts += [block.x[:n, columns.start + 1 : columns.stop + 1], sigmas[:, columns]]
         return np.hstack(parts)
 
 
