@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import asdict
 from typing import Any
 
 from mavins.estimator.estimator import Estimator
@@ -18,6 +19,7 @@ def summarize(estimator: Estimator, intake: Intake) -> dict[str, Any]:
         "imu": None
         if intake.imu.chosen is None
         else {"message": intake.imu.name, "id": intake.imu.chosen[1]},
+        "sources": None if intake.sources is None else asdict(intake.sources),
         "messages": dict(intake.counts),
         "rates_hz": intake.rates(),
         "dropped": {k: v for k, v in (intake.dropped + estimator.dropped).items() if v},

@@ -4,23 +4,27 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from mavins import __version__
+from mavins import __version__, exports
 from mavins.config import Config, to_yaml
 from mavins.estimator.estimator import Estimator, Outputs
+from mavins.estimator.feed import Feed
 from mavins.estimator.history import History
 from mavins.estimator.smoothing import smooth
 from mavins.estimator.solution import EULER, LLA, V_L, WIDTH
 from mavins.evaluation.errors import errors_against
 from mavins.evaluation.evidence import FILE, write_evidence
+from mavins.evaluation.result_folder import read_result
 from mavins.evaluation.witness import Witness
 from mavins.logs.sensor_log import DEFAULT, Choice
 from mavins.logs.truth import Truth
+from mavins.output_tlog import OutputLog
 from mavins.results import FILES, SUMMARY, EstimatesFile, ResultWriter, write_json, write_text
 from mavins.sources import judge_of, source_of
 from mavins.types import FloatArray, IntArray
@@ -31,7 +35,7 @@ from mavins.whole_folder import written_whole
 class ReplayOptions:
     """What of the log is written and judged: `start`, `end` in s on the vehicle's boot clock, `rate` in Hz (0: every
     IMU sample), `sysid` None for the first vehicle that sends an IMU; `choice` names the log's sources; `smooth` adds
-    smoothed.csv."""
+    smoothed.csv, `exports` other formats."""
 
     start: float | None = None
     end: float | None = None
@@ -39,6 +43,7 @@ class ReplayOptions:
     sysid: int | None = None
     smooth: bool = False
     choice: Choice = DEFAULT
+    exports: tuple[str, ...] = ()
 
 
 def grid_us(rate: float) -> int:
@@ -57,7 +62,7 @@ def replay(
 
     Raises LogFormatError for what is not a log with an IMU, OutputError where `out` cannot be written.
     """
-    own = [f"{config.filter}/{name}" for name in FILES]
+    own = [f"{config.filter}/{name}" for name in (*FILES, *exports.FILES)]
     with written_whole(out, SUMMARY, own) as aside:
         return _replay(log, aside, config, options, progress)
 
@@ -77,13 +82,19 @@ def _replay(
         2**62 if options.end is None else round(options.end * 1e6),
     )
     folder = out / config.filter
-    with ResultWriter(folder, config.states.layout(), keep=True) as writer:
+    with ExitStack() as stack:
+        writer = stack.enter_context(ResultWriter(folder, config.states.layout(), keep=True))
         writer.bounds_us = bounds
         history = History() if options.smooth else None
         grid = grid_us(options.rate)
         outputs = Outputs(grid, writer.write_rows, writer.write_decision, history)
         estimator = Estimator(config, config.filter, outputs)
-        witness = Witness(estimator)
+        feed: Feed = estimator
+        if exports.TLOG in options.exports:
+            log_path = folder / exports.OUTPUT_TLOG
+            feed = OutputLog(log_path, estimator, config, *source.speaker(), source.received_us)
+            stack.callback(feed.close)
+        witness = Witness(feed)
         source.feed(witness, progress)
         estimator.finish()
     write_text(folder / "config.yaml", to_yaml(config))
@@ -106,6 +117,8 @@ def _replay(
     summary["cpu_s"] = time.process_time() - cpu
     summary["times_real_time"] = source.seconds / summary["cpu_s"]
     write_json(out / SUMMARY, summary)
+    if options.exports:
+        exports.write_exports(read_result(out), options.exports, folder)
     return summary
 
 

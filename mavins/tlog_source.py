@@ -66,6 +66,7 @@ class TlogSource:
         self._frames = frames = read_tlog(log)
         self._sysid = vehicle_of(frames, sysid)
         self.config = config
+        self._who = our_identity(frames, self._sysid, config.mavlink)
         self.seconds = (int(frames.t_us[-1]) - int(frames.t_us[0])) * 1e-6
         self.damage = {
             name: getattr(frames.damage, name)
@@ -79,10 +80,18 @@ class TlogSource:
         sysid = self._sysid
         self._intake = Intake(estimator, self.config.sources)
         store = ConfigStore(self.config, partial(tune, self._intake), keep=lambda config: "")
-        who = our_identity(self._frames, sysid, self.config.mavlink)
-        _feed(self._intake, store, self._frames, sysid, who, progress)
+        _feed(self._intake, store, self._frames, sysid, self._who, progress)
         if self._intake.imu.chosen is None:
             raise LogFormatError(f"the log has no usable IMU messages of vehicle {sysid}")
+
+    def speaker(self) -> tuple[int, Identity]:
+        """The vehicle's sysid, and under which ids a service speaks about it."""
+        who = self._who or identity_for(self._sysid, self.config.mavlink, (), ())
+        return self._sysid, who
+
+    def received_us(self, t_us: int) -> int:
+        """When the sample of an instant came in, on the clock of who wrote the log."""
+        return t_us + self._intake.clock.lag_us
 
     def summary(self, estimator: Estimator) -> dict[str, Any]:
         """What the intake saw, and what the estimator made of it."""

@@ -12,7 +12,7 @@ from mavins.errors import OutputError
 
 
 @contextmanager
-def written_whole(out: Path, mark: str, own: Collection[str] = ()) -> Iterator[Path]:
+def written_whole(out: Path, mark: str | None = None, own: Collection[str] = ()) -> Iterator[Path]:
     """A folder to write into, whose files move to the same places in `out` once the block has ended well.
 
     Until then the files of `out` stay as they were, and where the block fails or is interrupted nothing is left of it.
@@ -44,12 +44,13 @@ def written_whole(out: Path, mark: str, own: Collection[str] = ()) -> Iterator[P
                 out.rmdir()
 
 
-def _install(aside: Path, out: Path, mark: str, own: Collection[str]) -> None:
+def _install(aside: Path, out: Path, mark: str | None, own: Collection[str]) -> None:
     """Move all files from `aside` into `out`."""
+    marks = [] if mark is None else [mark]
     new = [str(path.relative_to(aside)) for path in sorted(aside.rglob("*")) if path.is_file()]
-    new.sort(key=lambda name: name == mark)
+    new.sort(key=lambda name: name in marks)
     try:
-        for name in (mark, *(name for name in own if name not in new)):
+        for name in (*marks, *(name for name in own if name not in new)):
             (out / name).unlink(missing_ok=True)
         for name in new:
             (out / name).parent.mkdir(parents=True, exist_ok=True)

@@ -27,6 +27,8 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     ),
     "sitl": ("mavins.cli.sitl", "fly the simulator: sensors and truth as MAVLink"),
     "replay": ("mavins.cli.replay", "run the estimator on a log"),
+    "export": ("mavins.cli.export", "write a result folder in other formats"),
+    "diff": ("mavins.cli.diff", "compare two result folders"),
     "compare": ("mavins.cli.compare", "run several filters on the same samples"),
     "observe": ("mavins.cli.observe", "which states a flight makes observable, and when"),
     "play": ("mavins.cli.play", "send a log's packets into a UDP port at their own pace"),
@@ -38,7 +40,12 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
 }
 """Name -> (module, one line for the overview)."""
 
-EXTRAS: Final = {"mavsdk": "acceptance", "matplotlib": "report"}
+EXTRAS: Final = {
+    "mavsdk": "acceptance",
+    "matplotlib": "report",
+    "pyarrow": "export",
+    "foxglove": "export",
+}
 """Modules that come with an optional extra: import name -> the extra's name."""
 
 EXIT_OK: Final = 0

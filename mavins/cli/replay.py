@@ -21,9 +21,12 @@ examples:
   mavins replay flight.tlog --out result --config flight.yaml --rate 0
   mavins replay flight.tlog --out result --smooth
   mavins replay flight/ --out result    a folder with imu.csv, gnss.csv, mag.csv, ... (.xz, .gz)
+  mavins replay flight.tlog --out result --export mcap,tlog
+  mavins replay flight.tlog --dry-run   what would be used
 
-writes: OUT/<filter>/estimates.csv, innovations.csv, config.yaml and OUT/summary.json;
-with --smooth also OUT/<filter>/smoothed.csv"""
+writes: OUT/<filter>/estimates.csv, innovations.csv, evidence.npz, config.yaml and OUT/summary.json;
+with --smooth also OUT/<filter>/smoothed.csv; and other formats beside them (--export).
+All of it takes the place of an earlier result at once, at the end; other files in OUT stay."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -34,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="LOG",
         help="a .tlog, also in .gz or .xz, or a folder of CSV files",
     )
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="the result folder")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="the result folder")
     parser.add_argument("--filter", metavar="NAME", help="the filter (default: the configured one)")
     parser.add_argument("--config", type=Path, metavar="FILE", help="settings in YAML")
     parser.add_argument("--start", type=float, metavar="S", help="boot time of the first row, s")
@@ -54,18 +57,41 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="also write smoothed.csv: estimates that know what came later (Rauch-Tung-Striebel)",
     )
+    parser.add_argument(
+        "--export",
+        default="usual",
+        metavar="FORMATS",
+        help="comma-separated: tum, kml, gpx, parquet, mcap, tlog; all; none (default: the first "
+        "three, and parquet with the extra 'export')",
+    )
+    parser.add_argument(
+        "--dry-run",
+        action="store_true",
+        help="read the log, say what would be used and written, and run nothing",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
     """Replay and print the summary."""
     from mavins.config import load
+    from mavins.exports import REGISTRY, TLOG, formats_of
     from mavins.replay import ReplayOptions, replay
 
     _check_bounds(args.start, args.end, args.rate)
+    if args.out is None and not args.dry_run:
+        raise ConfigError("where to? give a result folder: --out DIR")
+    formats = formats_of(args.export, (*REGISTRY, TLOG))
 
     overrides = {} if args.filter is None else {"filter": args.filter}
     config = load(args.config, overrides)
-    options = ReplayOptions(args.start, args.end, args.rate, args.sysid, args.smooth)
+    options = ReplayOptions(
+        args.start, args.end, args.rate, args.sysid, args.smooth, exports=formats
+    )
+    if args.dry_run:
+        from mavins.cli.dry_run import lines_of as plan_of
+
+        print("\n".join(plan_of(args.log, args.out, config, options)))
+        return 0
     with progress_bar(f"replay {args.log.name}", 1.0, quiet=args.verbosity < 0) as report:
         summary = replay(args.log, args.out, config, options, report)
     if args.verbosity >= 0:

@@ -1,4 +1,4 @@
-"""The track as GPX 1.1: estimate and GNSS, altitudes above mean sea level, the time of day where the vehicle told it."""
+"""The track as GPX 1.1: estimate and GNSS, altitudes above mean sea level, with UTC where the vehicle told it."""
 
 from __future__ import annotations
 

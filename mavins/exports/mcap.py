@@ -85,9 +85,11 @@ class _Guarded:
     def __init__(self, file: BinaryIO) -> None:
         self._file = file
         self._error: OSError | None = None
-        self.seek = file.seek
 
-    def write(self, data: bytes) -> int:
+    def seek(self, offset: int, whence: int = 0) -> int:
+        return self._file.seek(offset, whence)
+
+    def write(self, data: bytes | bytearray) -> int:
         try:
             return self._file.write(data)
         except OSError as error:
@@ -157,9 +159,7 @@ def _estimates(result: Result, offset_us: int, context: Any) -> Iterator[_Log]:
             turn = m.Quaternion(x=x, y=y, z=z, w=w)
             place = _vector(p_n[k])
             pose = m.Pose(position=place, orientation=turn)
-            pose_channel.log(
-                m.PoseInFrame(timestamp=at, frame_id="n", pose=pose), log_time=ns
-            )
+            pose_channel.log(m.PoseInFrame(timestamp=at, frame_id="n", pose=pose), log_time=ns)
             if not is_whole[k]:
                 return
             odometry_channel.log(
@@ -219,10 +219,10 @@ def _diagonal(variances: FloatArray) -> FloatArray:
 def _in_body(result: Result) -> tuple[FloatArray, FloatArray]:
     """Velocity (N, 3) along the body's axes, and the covariance (N, 36) of it and of rates that nobody knows."""
     e = result.estimates
-    C_lb = np.array([quat_to_dcm(q) for q in e.stack("q_w", "q_x", "q_y", "q_z")]).reshape(-1, 3, 3)
-    velocity = np.einsum("nij,ni->nj", C_lb, e.v_l)
+    turns = np.array([quat_to_dcm(q) for q in e.stack("q_w", "q_x", "q_y", "q_z")])
+    velocity = np.einsum("nij,ni->nj", turns, e.v_l)
     covariance = np.zeros((len(e), 6, 6))
-    covariance[:, :3, :3] = np.einsum("nki,nk,nkj->nij", C_lb, e.sd_v**2, C_lb)
+    covariance[:, :3, :3] = np.einsum("nki,nk,nkj->nij", turns, e.sd_v**2, turns)
     return velocity, np.nan_to_num(covariance.reshape(-1, 36))
 
 
@@ -257,9 +257,7 @@ def _fixes(result: Result, offset_us: int, context: Any) -> Iterator[_Log]:
         yield (int(gnss.t_us[k]) + offset_us) * 1000, log
 
 
-def _innovations(
-    aiding: str, found: Innovations, offset_us: int, context: Any
-) -> Iterator[_Log]:
+def _innovations(aiding: str, found: Innovations, offset_us: int, context: Any) -> Iterator[_Log]:
     """An aiding's decisions, by the instants at which the measurements were valid."""
     import foxglove
 
@@ -301,9 +299,12 @@ def _remarks(result: Result, offset_us: int, context: Any) -> Iterator[_Log]:
 
     channel = channels.LogChannel("/log", context=context)
     remarks = [
-        (int(found.t_us[k]), m.LogLevel.Warning, f"{aiding}: {found.reason[k]}")
+        (t_us, m.LogLevel.Warning, f"{aiding}: {reason}")
         for aiding, found in result.innovations.items()
-        for k in np.flatnonzero(~found.accepted).tolist()
+        for t_us, accepted, reason in zip(
+            found.t_us.tolist(), found.accepted.tolist(), found.reason.tolist(), strict=True
+        )
+        if not accepted
     ]
     if len(result.estimates):
         reason = result.summary.get("reason")

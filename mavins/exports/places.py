@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -59,9 +60,7 @@ def stretches(t_us: IntArray, degrees: FloatArray) -> list[Stretch]:
     t_us, degrees = t_us[kept], degrees[kept]
     parts = np.flatnonzero((np.diff(t_us) > GAP_US) | (np.diff(t_us) < 0)) + 1
     edges = [0, *parts.tolist(), len(t_us)]
-    return [
-        Stretch(t_us[a:b], degrees[a:b]) for a, b in zip(edges, edges[1:], strict=False) if b > a
-    ]
+    return [Stretch(t_us[a:b], degrees[a:b]) for a, b in pairwise(edges) if b > a]
 
 
 def origin_of(result: Result) -> tuple[float, float, float]:

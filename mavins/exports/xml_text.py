@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from xml.sax.saxutils import XMLGenerator
+from xml.sax.xmlreader import AttributesImpl
 
 
 @contextmanager
 def element(xml: XMLGenerator, name: str, **attributes: str) -> Iterator[None]:
     """An element around what the block writes, on lines of its own."""
-    xml.startElement(name, attributes)
+    xml.startElement(name, AttributesImpl(attributes))
     xml.characters("\n")
     yield
     xml.endElement(name)
@@ -19,7 +20,7 @@ def element(xml: XMLGenerator, name: str, **attributes: str) -> Iterator[None]:
 
 def leaf(xml: XMLGenerator, name: str, text: str) -> None:
     """An element that holds text."""
-    xml.startElement(name, {})
+    xml.startElement(name, AttributesImpl({}))
     xml.characters(text)
     xml.endElement(name)
     xml.characters("\n")
