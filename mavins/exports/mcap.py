@@ -237,7 +237,7 @@ def _fixes(result: Result, offset_us: int, context: Any) -> Iterator[_Log]:
     channel = channels.LocationFixChannel("/gnss/location", context=context)
     kinds = m.LocationFixPositionCovarianceType
     claims = gnss.sigmas[:, [0, 0, 1]]
-    claimed = np.isfinite(claims).all(axis=1)
+    claimed = [bool(row.all()) for row in np.isfinite(claims)]
     covariance = _diagonal(claims**2)
     for k in np.flatnonzero(gnss.fix_type >= 2).tolist():
 
