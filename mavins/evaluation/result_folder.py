@@ -198,8 +198,9 @@ def read_innovations(path: Path) -> dict[str, Innovations]:
 
 def _innovations(aiding: str, rows: list[list[str]]) -> Innovations:
     columns = list(zip(*rows, strict=True))
-    numbers = np.array([[value or "nan" for value in column] for column in columns[6:]])
-    nis, *parts = numbers.astype(np.float64)
+    nis, *parts = (
+        np.array([float(value or "nan") for value in column]) for column in columns[6:]
+    )
     known = np.isfinite(np.array(parts[:_WIDEST])).any(axis=1)
     width = max(1, int(known.sum()))
     return Innovations(
