@@ -25,7 +25,15 @@ from mavins.evaluation.witness import Witness
 from mavins.logs.sensor_log import DEFAULT, Choice
 from mavins.logs.truth import Truth
 from mavins.output_tlog import OutputLog
-from mavins.results import FILES, SUMMARY, EstimatesFile, ResultWriter, write_json, write_text
+from mavins.results import (
+    FILES,
+    REPORT,
+    SUMMARY,
+    EstimatesFile,
+    ResultWriter,
+    write_json,
+    write_text,
+)
 from mavins.sources import judge_of, source_of
 from mavins.types import FloatArray, IntArray
 from mavins.whole_folder import written_whole
@@ -57,14 +65,19 @@ def replay(
     config: Config,
     options: ReplayOptions,
     progress: Callable[[float], None] = lambda _: None,
+    finish: Callable[[Path], None] | None = None,
 ) -> dict[str, Any]:
     """Run a log of any kind through the estimator, write the result folder, return the summary.
 
-    Raises LogFormatError for what is not a log with an IMU, OutputError where `out` cannot be written.
+    `finish` is handed the folder once all is in it, before it takes the place of `out`. Raises
+    LogFormatError for what is not a log with an IMU, OutputError where `out` cannot be written.
     """
-    own = [f"{config.filter}/{name}" for name in (*FILES, *exports.FILES)]
+    own = [REPORT, *(f"{config.filter}/{name}" for name in (*FILES, *exports.FILES))]
     with written_whole(out, SUMMARY, own) as aside:
-        return _replay(log, aside, config, options, progress)
+        summary = _replay(log, aside, config, options, progress)
+        if finish is not None:
+            finish(aside)
+    return summary
 
 
 def _replay(

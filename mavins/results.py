@@ -47,6 +47,7 @@ INNOVATIONS: Final = (
 )
 SUMMARY: Final = "summary.json"
 """Written last: a folder that has it is whole."""
+REPORT: Final = "report.html"
 FILES: Final = (
     "estimates.csv",
     "innovations.csv",

@@ -27,6 +27,7 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     ),
     "sitl": ("mavins.cli.sitl", "fly the simulator: sensors and truth as MAVLink"),
     "replay": ("mavins.cli.replay", "run the estimator on a log"),
+    "report": ("mavins.cli.report", "make the report of a result folder again"),
     "export": ("mavins.cli.export", "write a result folder in other formats"),
     "diff": ("mavins.cli.diff", "compare two result folders"),
     "compare": ("mavins.cli.compare", "run several filters on the same samples"),
@@ -43,6 +44,7 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
 EXTRAS: Final = {
     "mavsdk": "acceptance",
     "matplotlib": "report",
+    "plotly": "report",
     "pyarrow": "export",
     "foxglove": "export",
 }

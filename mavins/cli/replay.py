@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import argparse
 import math
+import shlex
+import sys
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +27,8 @@ examples:
   mavins replay flight.tlog --out result --export mcap,tlog
   mavins replay flight.tlog --dry-run   what would be used
 
-writes: OUT/<filter>/estimates.csv, innovations.csv, evidence.npz, config.yaml and OUT/summary.json;
-with --smooth also OUT/<filter>/smoothed.csv; and other formats beside them (--export).
+writes: OUT/<filter>/estimates.csv, innovations.csv, config.yaml, evidence.npz, OUT/summary.json
+and OUT/report.html; with --smooth also OUT/<filter>/smoothed.csv; other formats beside them (--export).
 All of it takes the place of an earlier result at once, at the end; other files in OUT stay."""
 
 
@@ -69,6 +72,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="read the log, say what would be used and written, and run nothing",
     )
+    parser.add_argument(
+        "--no-report", action="store_true", help="write no report.html (mavins report makes it)"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -93,10 +99,30 @@ def run(args: argparse.Namespace) -> int:
         print("\n".join(plan_of(args.log, args.out, config, options)))
         return 0
     with progress_bar(f"replay {args.log.name}", 1.0, quiet=args.verbosity < 0) as report:
-        summary = replay(args.log, args.out, config, options, report)
+        finish = None if args.no_report else partial(_report, args.out)
+        summary = replay(args.log, args.out, config, options, report, finish)
     if args.verbosity >= 0:
         print("\n".join(lines_of(summary, args.out)))
     return 0
+
+
+def _report(out: Path, folder: Path) -> None:
+    """Write the report into the folder that is to take the place of `out`.
+
+    Without the extra, say how to get it: the results are whole without it.
+    """
+    try:
+        from mavins.report import write_report
+
+        write_report(folder)
+    except ModuleNotFoundError as error:
+        if error.name is None or error.name.partition(".")[0] != "plotly":
+            raise
+        print(
+            "mavins: no report.html: plotly is not installed; install it with: "
+            "pip install 'mavins[report]', then: mavins report " + shlex.quote(str(out)),
+            file=sys.stderr,
+        )
 
 
 def _check_bounds(start: float | None, end: float | None, rate: float) -> None:

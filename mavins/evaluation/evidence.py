@@ -134,8 +134,8 @@ def read_evidence(path: Path) -> Evidence | None:
 def _truth(name: str, arrays: dict[str, Any]) -> Truth | None:
     if f"{name}.t_us" not in arrays:
         return None
-    parts = (arrays[f"{name}.{part}"] for part in _PARTS)
-    return Truth(*parts, source=str(arrays[f"{name}.source"]))
+    t_us, lla, v_l, q_lb = (arrays[f"{name}.{part}"] for part in _PARTS)
+    return Truth(t_us, lla, v_l, q_lb, str(arrays[f"{name}.source"]))
 
 
 def _flat(name: str, table: Any) -> dict[str, Any]:

@@ -13,7 +13,9 @@ from typing import Final, Literal
 
 import numpy as np
 
+from mavins.evaluation.errors import Errors
 from mavins.evaluation.result_folder import Result
+from mavins.types import FloatArray
 
 Level = Literal["wrong", "note", "fine"]
 LEVELS: Final[tuple[Level, ...]] = ("wrong", "note", "fine")
@@ -106,49 +108,59 @@ def against_truth(result: Result) -> Iterator[Finding]:
             "The log has no truth: accuracy shows here only as far as innovations show it.",
         )
         return
-    if not result.is_true:
+    told = []
+    for kind, names, error, sigma, scale, unit in _compared(result, errors):
+        size = "/".join(f"{scale * v:.3g}" for v in np.sqrt(np.mean(error**2, axis=0)))
+        if result.is_true:
+            yield _judged(kind, names, abs(error) / sigma, f"{size} {unit}")
+        else:
+            told.append(f"{kind} {size} {unit}")
+    if told:
         yield Finding(
             "note",
-            f"The log has no truth; {judge.source} is what the estimate is compared to, and has "
-            "errors of its own.",
+            f"The log has no truth. The estimate differs from {judge.source} by {listed(told)} RMS; "
+            "that has errors of its own.",
             figure="error_position",
         )
-        return
-    e = result.estimates
-    k = result.at(errors.t_us)
-    kinds = (
-        ("position", NED, errors.pos, e.sd_p[k], 1.0, "m"),
-        ("velocity", NED, errors.vel, e.sd_v[k], 1.0, "m/s"),
-        ("attitude", ("roll", "pitch", "yaw"), errors.att, e.sd_euler[k], 180.0 / math.pi, "deg"),
-    )
-    for kind, names, error, sigma, scale, unit in kinds:
+
+
+def _compared(
+    result: Result, errors: Errors
+) -> Iterator[tuple[str, tuple[str, ...], FloatArray, FloatArray, float, str]]:
+    """Kind, names, errors (K, 3), sigmas (K, 3), and what makes the unit of them."""
+    e, k = result.estimates, result.at(errors.t_us)
+    for kind, names, error, sigma, scale, unit in (
+        ("position", NED, errors.pos, e.sd_p, 1.0, "m"),
+        ("velocity", NED, errors.vel, e.sd_v, 1.0, "m/s"),
+        ("attitude", ("roll", "pitch", "yaw"), errors.att, e.sd_euler, 180.0 / math.pi, "deg"),
+    ):
         known = np.isfinite(error).all(axis=1)
-        if not known.any():
-            continue
-        ratio = abs(error[known]) / np.maximum(sigma[known], 1e-12)
-        outside = (ratio > 3.0).mean(axis=0)
-        rms = np.sqrt(np.mean(ratio**2, axis=0))
-        size = "/".join(f"{scale * v:.3g}" for v in np.sqrt(np.mean(error[known] ** 2, axis=0)))
-        head = f"{kind.capitalize()} error against truth {size} {unit} RMS ({'/'.join(names)})"
-        figure = f"error_{kind}"
-        bad = [f"{n} {100 * o:.0f} %" for n, o in zip(names, outside, strict=True) if o > _OUTSIDE]
-        if bad:
-            yield Finding(
-                "wrong",
-                f"{head}; it is beyond 3 sigma for {listed(bad)} of the time.",
-                "The filter is too sure of itself: raise the noises that are too small, or find the "
-                "delay, heading or lever arm that is wrong.",
-                figure,
-            )
-        elif (rms < _MODEST).all():
-            yield Finding(
-                "note",
-                f"{head}, inside 3 sigma, but the sigmas are {times(1 / rms.max())} the errors.",
-                "The filter could be surer: its noises are larger than this flight needs.",
-                figure,
-            )
-        else:
-            yield Finding("fine", f"{head}, and its sigmas fit.", figure=figure)
+        if known.any():
+            yield kind, names, error[known], np.maximum(sigma[k][known], 1e-12), scale, unit
+
+
+def _judged(kind: str, names: tuple[str, ...], ratio: FloatArray, size: str) -> Finding:
+    """An error in sigmas (K, 3) against what it should be."""
+    outside = (ratio > 3.0).mean(axis=0)
+    rms = np.sqrt(np.mean(ratio**2, axis=0))
+    head = f"{kind.capitalize()} error against truth {size} RMS ({'/'.join(names)})"
+    bad = [f"{n} {100 * o:.0f} %" for n, o in zip(names, outside, strict=True) if o > _OUTSIDE]
+    if bad:
+        return Finding(
+            "wrong",
+            f"{head}; beyond 3 sigma for {listed(bad)} of the time.",
+            "The filter is too sure of itself: raise the noises that are too small, or find the "
+            "delay, heading or lever arm that is wrong.",
+            f"error_{kind}",
+        )
+    if (rms < _MODEST).all():
+        return Finding(
+            "note",
+            f"{head}, and its sigmas are {times(1 / rms.max())} that.",
+            "The filter could be surer: its noises are larger than this flight needs.",
+            f"error_{kind}",
+        )
+    return Finding("fine", f"{head}, and its sigmas fit.", figure=f"error_{kind}")
 
 
 def yaw(result: Result) -> Iterator[Finding]:

@@ -125,11 +125,11 @@ def rejected(result: Result) -> Iterator[Finding]:
         n = len(innovations)
         for reason, count in reasons.items():
             share = count / n
-            if n < FEWEST or share <= _REJECTED[0] or reason == "reset":
+            if n < FEWEST or count < 2 or share <= _REJECTED[0] or reason == "reset":
                 continue
             quiet = False
             bad = share > _REJECTED[1]
-            text = f"{100 * share:.1f} % of {words(name)} were refused ({count} of {n}): "
+            text = f"{100 * share:.1f} % of the {words(name)} measurements were refused ({count} of {n}): "
             if reason == "gate":
                 yield Finding(
                     "wrong" if bad else "note",
@@ -146,52 +146,56 @@ def rejected(result: Result) -> Iterator[Finding]:
 
 def nis(result: Result) -> Iterator[Finding]:
     """Are the innovations as large as expected?"""
-    fine = []
+    fine, small = [], []
     for name, innovations in _of(result):
         used = innovations.accepted
         rows = np.isfinite(innovations.innovation[used]).sum()
         value = float(np.nansum(innovations.nis[used]) / max(rows, 1))
-        told = f"NIS of {words(name)} is {value:.2g} per row, where 1 is right"
+        ratio = math.sqrt(max(value, 1e-12))
         if value < _NIS[0]:
-            yield Finding(
-                "note",
-                f"{told}: its innovations are {times(1 / math.sqrt(max(value, 1e-12)))} smaller than expected.",
-                f"Lower {_LIMITS.get(name, 'its noise')} or the IMU's noises; `mavins tune LOG` finds both.",
-                name,
-            )
+            small.append(f"{words(name)} {times(1.0 / ratio)} (NIS {value:.2g} per row)")
         elif value > _NIS[1]:
             yield Finding(
                 "wrong" if value > _NIS[2] else "note",
-                f"{told}: its innovations are {times(math.sqrt(value))} larger than expected.",
+                f"Innovations of {words(name)} are {times(ratio)} larger than expected (NIS {value:.2g} "
+                "per row, where 1 is right).",
                 f"Raise {_LIMITS.get(name, 'its noise')}, or the IMU's noises.",
                 name,
             )
         else:
             fine.append(words(name))
+    if small:
+        yield Finding(
+            "note",
+            f"Innovations are smaller than expected: {listed(small)}; 1 per row is right.",
+            "The noises are set larger than this flight needs: safe, but slow to learn. "
+            "`mavins tune LOG` finds smaller ones.",
+            "nis",
+        )
     if fine:
         yield Finding("fine", f"The innovations of {listed(fine)} are as large as expected.")
 
 
 def whiteness(result: Result) -> Iterator[Finding]:
     """Do innovations know of those before them?"""
-    fine = []
+    fine, coloured = [], []
     for name, innovations in _of(result):
         r = (innovations.innovation / innovations.sigma)[innovations.accepted]
         first = [autocorrelation(c[np.isfinite(c)], 1)[0] for c in r.T]
         known = [value for value in first if math.isfinite(value)]
-        if not known:
-            continue
-        largest = max(known, key=abs)
+        largest = max(known, key=abs, default=0.0)
         if abs(largest) > _WHITE:
-            yield Finding(
-                "note",
-                f"Innovations of {words(name)} are not white: each has {largest:.2f} of the one before.",
-                "An error that lasts: of the sensor, as of an autopilot's own estimate, or of settings that "
-                "make the filter too slow.",
-                "whiteness",
-            )
+            coloured.append(f"{words(name)} {largest:.2f}")
         else:
             fine.append(words(name))
+    if coloured:
+        yield Finding(
+            "note",
+            f"Innovations are not white; the correlation of each with the one before: {listed(coloured)}.",
+            "An error that lasts: of the sensor, as of an autopilot's own estimate, or of settings that make "
+            "the filter too slow or too quick.",
+            "whiteness",
+        )
     if fine:
         yield Finding("fine", f"The innovations of {listed(fine)} are white.", figure="whiteness")
 
@@ -211,7 +215,8 @@ def biased(result: Result) -> Iterator[Finding]:
                 advice = "Check the compass: calibration, declination, mounting; or heading.delay in turns."
             else:
                 part = f" {NED[i]}" if name.startswith("gnss") else f", component {i}"
-                text = f"Innovations of {words(name)}{part} are biased by {mean:.2g}, {abs(mean) / expected:.1f} sigmas."
+                size = f"{mean:.2g}, {abs(mean) / expected:.1f} sigmas"
+                text = f"Innovations of {words(name)}{part} are biased by {size}."
                 advice = "A steady error of this sensor, or of another that it disagrees with."
             yield Finding("wrong" if name == "heading" else "note", text, advice, name)
 

@@ -13,6 +13,8 @@ from mavins.types import IntArray
 
 _NOISE: Final = (0.1, 2.0)
 """Measured over set: below the first the setting leaves much room, above the second it is too small."""
+_LOW_BAND_HZ: Final = 20.0
+"""Up to here no low-pass filter of an autopilot has taken the noise away."""
 _SLOWEST_HZ: Final = 80.0
 _MISSING: Final = 0.01
 _GAP_S: Final = 0.2
@@ -25,34 +27,37 @@ def imu_noise(result: Result) -> Iterator[Finding]:
     spectrum = result.evidence.spectrum if result.evidence is not None else None
     if spectrum is None:
         return
-    density, imu = spectrum.noise_density(), result.config.imu
-    for name, part, setting, unit in (
-        ("gyro", density[:3], imu.gyro_noise, "rad/s/sqrt(Hz)"),
-        ("accel", density[3:], imu.accel_noise, "m/s^2/sqrt(Hz)"),
+    imu = result.config.imu
+    white, low = spectrum.noise_density(), spectrum.noise_density(_LOW_BAND_HZ)
+    for name, at, setting, unit in (
+        ("gyro", slice(0, 3), imu.gyro_noise, "rad/s/sqrt(Hz)"),
+        ("accel", slice(3, 6), imu.accel_noise, "m/s^2/sqrt(Hz)"),
     ):
-        if not np.isfinite(part).all():
+        if not (np.isfinite(white[at]).all() and np.isfinite(low[at]).all()):
             continue
-        i = int(np.argmax(part))
-        shown = float(part[i])
-        ratio = shown / setting
-        head = f"{name.capitalize()} noise above 10 Hz is {shown:.2g} {unit} ({AXES[i]})"
-        if ratio > _NOISE[1]:
+        i, largest = int(np.argmax(white[at])), float(low[at].max())
+        shown = float(white[at][i])
+        if shown > _NOISE[1] * setting:
             yield Finding(
                 "wrong",
-                f"{head}, {times(ratio)} its setting of {setting:.2g}.",
+                f"The {name} noise is {times(shown / setting)} its setting: {shown:.2g} {unit} above 10 Hz "
+                f"({AXES[i]}), where {setting:.2g} is set.",
                 f"Set imu.{name}_noise: {shown:.2g}, or damp the vibration.",
                 "spectrum",
             )
-        elif ratio < _NOISE[0]:
+        elif largest < _NOISE[0] * setting:
             yield Finding(
                 "note",
-                f"{head}; its setting of {setting:.2g} is {times(1 / ratio)} that.",
-                f"The default leaves room for vibration and scale factors; a calm vehicle may take a smaller imu.{name}_noise.",
+                f"The {name} noise is set to {times(setting / largest)} what shows: {setting:.2g} {unit}, where "
+                f"10 to 20 Hz have {largest:.2g}.",
+                f"The default leaves room for vibration; a calm vehicle may take a smaller imu.{name}_noise.",
                 "spectrum",
             )
         else:
             yield Finding(
-                "fine", f"{head}, and its setting of {setting:.2g} fits.", figure="spectrum"
+                "fine",
+                f"The {name} noise is {shown:.2g} {unit} above 10 Hz; its setting of {setting:.2g} fits.",
+                figure="spectrum",
             )
 
 
@@ -64,8 +69,8 @@ def imu_rate(result: Result) -> Iterator[Finding]:
     total = int(imu.intervals.sum())
     if not total:
         return
-    usual = (int(np.searchsorted(imu.intervals.cumsum(), 0.5 * total)) + 0.5) * 1e-4
-    rate = 1.0 / usual
+    rate = float(np.median(imu.count))
+    usual = 1.0 / rate
     longer = float(imu.intervals[round(1.5 * usual * 1e4) :].sum()) / total
     longest = float(imu.longest_us.max()) * 1e-6
     good = True
@@ -146,9 +151,7 @@ def fixes(result: Result) -> Iterator[Finding]:
             figure="gnss_quality",
         )
     if good:
-        yield Finding(
-            "fine", f"GNSS came steadily, {1 / usual:.2g} fixes a second.", figure="gnss_quality"
-        )
+        yield Finding("fine", f"GNSS came steadily, every {usual:.2g} s.", figure="gnss_quality")
 
 
 def _steps(t_us: IntArray) -> tuple[float, float, float]:

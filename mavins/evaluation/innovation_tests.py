@@ -121,7 +121,7 @@ def _slope(m: Innovations, acceleration: FloatArray, assumed: FloatArray) -> tup
 
 
 def _acceleration(estimates: Estimates, at_us: IntArray) -> FloatArray:
-    """The acceleration (M, 3) at these instants; a median over neighbours, as each correction makes the velocity jump."""
+    """The acceleration (M, 3) at these instants: a median over neighbours, as corrections make the velocity jump."""
     steps = np.diff(estimates.t_s)
     usual = float(np.median(steps))
     if usual > _WINDOW_S / 5.0:

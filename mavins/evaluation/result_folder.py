@@ -44,7 +44,7 @@ class Estimates:
     @property
     def t_s(self) -> FloatArray:
         """Seconds (N,) on the vehicle's clock."""
-        return self.t_us * 1e-6
+        return np.multiply(self.t_us, 1e-6, dtype=np.float64)
 
     @property
     def lla(self) -> FloatArray:
@@ -83,8 +83,8 @@ class Estimates:
 class Innovations:
     """One aiding's decisions, M of them with m rows each.
 
-    `t_us` (M,) is when the measurement was valid, `stamp_us` (M,) its stamp; `innovation` and `sigma` (M, m), `nis` (M,), with nan where there
-    was none; `accepted` (M,); `reason` (M,) says why not.
+    `t_us` (M,) is when the measurement was valid, `stamp_us` (M,) its stamp; `innovation` and `sigma` (M, m), `nis`
+    (M,), with nan where there was none; `accepted` (M,); `reason` (M,) says why not.
     """
 
     aiding: str
@@ -198,9 +198,7 @@ def read_innovations(path: Path) -> dict[str, Innovations]:
 
 def _innovations(aiding: str, rows: list[list[str]]) -> Innovations:
     columns = list(zip(*rows, strict=True))
-    nis, *parts = (
-        np.array([float(value or "nan") for value in column]) for column in columns[6:]
-    )
+    nis, *parts = (np.array([float(value or "nan") for value in column]) for column in columns[6:])
     known = np.isfinite(np.array(parts[:_WIDEST])).any(axis=1)
     width = max(1, int(known.sum()))
     return Innovations(

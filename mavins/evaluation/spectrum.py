@@ -38,13 +38,14 @@ class Spectrum:
     segments: int
     rate: float
 
-    def noise_density(self) -> FloatArray:
+    def noise_density(self, highest: float = math.inf) -> FloatArray:
         """Root PSD (6,) of white noise above the vehicle's motion, as the settings have it; nan where it is hidden.
 
-        The median over the frequencies from MOTION_HZ on: a propeller's lines do not move it. Two-sided, because
-        sigma^2 = density^2 / dt.
+        The median over the frequencies from MOTION_HZ to `highest`: a propeller's lines do not move it. Two-sided,
+        because sigma^2 = density^2 / dt.
         """
-        above = (self.frequency >= MOTION_HZ) & (self.frequency <= _TOP * self.rate)
+        top = min(highest, _TOP * self.rate)
+        above = (self.frequency >= MOTION_HZ) & (self.frequency <= top)
         if above.sum() < 8:
             return np.full(6, np.nan)
         density: FloatArray = np.sqrt(0.5 * np.median(self.psd[above], axis=0))
@@ -99,6 +100,6 @@ class Welch:
         total = max(self._sums.values(), key=lambda s: s.segments)
         interval = total.interval / total.segments
         psd = 2.0 * total.power / (total.segments * float(_WINDOW @ _WINDOW))
-        frequency = np.fft.rfftfreq(LENGTH, interval)
+        frequency: FloatArray = np.arange(LENGTH // 2 + 1) / (LENGTH * interval)
         # the mean was taken away, and the window spreads that over its neighbour
         return Spectrum(frequency[2:], psd[2:], total.segments, 1.0 / interval)

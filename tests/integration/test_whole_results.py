@@ -17,8 +17,14 @@ import numpy as np
 import pytest
 
 from mavins.cli.main import main
+from mavins.config import Config
+from mavins.replay import ReplayOptions, replay
+from mavins.results import write_text
 
 pytestmark = pytest.mark.jit
+
+
+QUICK = ("-q", "--no-report")
 
 
 def flight(folder: Path, seconds: int) -> Path:
@@ -62,8 +68,9 @@ def former(tmp_path: Path) -> tuple[Path, dict[str, bytes]]:
 
 
 def replaying(log: Path, out: Path, **options: Any) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "mavins", "replay", str(log), "--out", str(out), "-q"]
-    return subprocess.Popen(command, stderr=subprocess.PIPE, text=True, **options)
+    options |= {"stderr": subprocess.PIPE, "text": True}
+    command = [sys.executable, "-m", "mavins", "replay", str(log), "--out", str(out), *QUICK]
+    return subprocess.Popen(command, **options)
 
 
 def test_ctrl_c_leaves_what_was_there(
@@ -117,9 +124,11 @@ def test_a_result_takes_the_place_of_a_former_one(
     tmp_path: Path, former: tuple[Path, dict[str, bytes]]
 ) -> None:
     out, before = former
-    (out / "eskf" / "smoothed.csv").write_text("former")
+    for name in ("eskf/smoothed.csv", "report.html"):
+        (out / name).write_text("former")
     log = flight(tmp_path / "flight", 20)
-    assert main(["replay", str(log), "--out", str(out), "-q", "--export", "tum,gpx,tlog"]) == 0
+    command = ["replay", str(log), "--out", str(out), *QUICK, "--export"]
+    assert main([*command, "tum,gpx,tlog"]) == 0
     after = contents(out)
     assert after["notes.txt"] == before["notes.txt"]
     assert json.loads(after["summary.json"])["rows"] > 0
@@ -141,12 +150,28 @@ def test_a_result_takes_the_place_of_a_former_one(
     }
     assert main(["export", str(out), "--to", "kml", "-q"]) == 0
     assert (out / "eskf" / "track.kml").exists()
-    assert main(["replay", str(log), "--out", str(out), "-q", "--export", "none"]) == 0
+    assert main([*command, "none"]) == 0
     # an export of what was replaced would pass for one of what is there now
     assert set(contents(out)) == {
         name for name in after if name.rpartition(".")[2] not in ("tum", "gpx", "tlog")
     }
     assert contents(out)["eskf/estimates.csv"] == after["eskf/estimates.csv"]
+
+
+def test_the_report_is_part_of_what_is_whole(tmp_path: Path) -> None:
+    """It is there with the rest, or nothing is."""
+    log, out = flight(tmp_path / "flight", 20), tmp_path / "result"
+
+    def stop(folder: Path) -> None:
+        assert (folder / "summary.json").exists()
+        assert not (out / "summary.json").exists()
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        replay(log, out, Config(), ReplayOptions(), finish=stop)
+    assert not out.exists()
+    replay(log, out, Config(), ReplayOptions(), finish=lambda f: write_text(f / "report.html", "x"))
+    assert {path.name for path in out.iterdir()} == {"summary.json", "report.html", "eskf"}
 
 
 def test_a_dry_run_says_what_would_be_used_and_runs_nothing(
