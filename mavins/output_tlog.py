@@ -56,7 +56,8 @@ class OutputLog(Relay):
             config.mavlink.persona,
         )
         rates = config.streams.rates(config.mavlink.persona)
-        self._periods_us = [round(1e6 / rate) for rate in rates.values() if rate > 0.0]
+        periods = {round(1e6 / rate) for rate in rates.values() if rate > 0.0}
+        self._periods_us = np.array(sorted(periods), dtype=np.int64)
         self._sequence = 0
         self._now_us = 0
         self._tick_us = 0
@@ -86,10 +87,10 @@ class OutputLog(Relay):
 
     def _stops(self, t_us: IntArray) -> list[int]:
         """The rows behind which a message may be due."""
-        due = np.zeros(len(t_us), dtype=np.bool_)
-        for period_us in self._periods_us:
-            due |= np.diff(t_us // period_us, prepend=-1) != 0
-        stops: list[int] = (np.flatnonzero(due) + 1).tolist()
+        slots = t_us[:, np.newaxis] // self._periods_us
+        due = (slots[1:] != slots[:-1]).any(axis=1)
+        # the first row is told by the plan: it alone knows what was before
+        stops: list[int] = [1, *(np.flatnonzero(due) + 2).tolist()]
         return stops
 
     def _speak(self) -> None:
