@@ -101,7 +101,7 @@ def begun_anew(result: Result) -> Iterator[Finding]:
 
 def against_truth(result: Result) -> Iterator[Finding]:
     """Are the errors as large as their sigmas? Judged against a truth only: a reference has errors of its own."""
-    judge, errors = result.judge, result.errors()
+    judge, errors = result.judge, result.errors
     if judge is None or errors is None:
         yield Finding(
             "note",

@@ -31,7 +31,11 @@ def autocorrelation(values: FloatArray, lags: int) -> FloatArray:
     power = float(x @ x)
     if power == 0.0:
         return np.full(lags, np.nan)
-    return np.array([float(x[k:] @ x[:-k]) / power for k in range(1, lags + 1)])
+    spectrum = np.fft.rfft(
+        x, 1 << (len(x) + lags).bit_length()
+    )  # padded: what leaves does not come back
+    rho: FloatArray = np.fft.irfft(spectrum.real**2 + spectrum.imag**2)[1 : lags + 1] / power
+    return rho
 
 
 def running_mean(values: FloatArray, width: int) -> FloatArray:

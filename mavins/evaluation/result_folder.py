@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import csv
+import io
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,13 +15,25 @@ from mavins.config import Config, load
 from mavins.errors import LogFormatError
 from mavins.evaluation.errors import Errors, errors_against
 from mavins.evaluation.evidence import FILE, Evidence, read_evidence
-from mavins.logs.csv_table import read_table
+from mavins.logs.csv_table import read_table, with_nan
 from mavins.logs.truth import Truth
 from mavins.results import ESTIMATES, EXTRA, INNOVATIONS
 from mavins.types import FloatArray, IntArray
 
-_WIDEST: Final = 3
-"""Rows that a measurement has at the most in innovations.csv."""
+_ROW: Final = np.dtype(
+    [
+        ("t_us", np.int64),
+        ("stamp_us", np.int64),
+        ("aiding", "S32"),
+        ("source", "S64"),
+        ("accepted", np.int8),
+        ("reason", "S64"),
+        ("nis", np.float64),
+        ("innovation", np.float64, 3),
+        ("sigma", np.float64, 3),
+    ]
+)
+"""A line of innovations.csv."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +129,10 @@ class Innovations:
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """One filter's result. `innovations` by aiding; `evidence` is None where none was kept, as by a live service."""
+    """One filter's result. `innovations` by aiding; `evidence` is None where none was kept, as by a live service.
+
+    `errors` are estimates minus `judge` at the instants that it covers; None where there is none.
+    """
 
     folder: Path
     filter: str
@@ -126,27 +141,17 @@ class Result:
     estimates: Estimates
     innovations: dict[str, Innovations]
     evidence: Evidence | None
+    errors: Errors | None
 
     @property
     def judge(self) -> Truth | None:
         """What the estimates are measured against: the truth, or for want of one the log's own filter."""
-        if self.evidence is None:
-            return None
-        judges = (self.evidence.truth, self.evidence.reference)
-        return next((judge for judge in judges if judge is not None and len(judge) > 1), None)
+        return _judge(self.evidence)
 
     @property
     def is_true(self) -> bool:
         """True where `judge` is a truth."""
         return self.evidence is not None and self.judge is self.evidence.truth
-
-    def errors(self) -> Errors | None:
-        """Estimate minus `judge` at the instants that it covers; None where there is none."""
-        judge, e = self.judge, self.estimates
-        if judge is None or not len(e):
-            return None
-        errors = errors_against(e.t_us, e.lla, e.v_l, e.euler, judge.columns())
-        return errors if len(errors.t_us) else None
 
     def at(self, t_us: IntArray) -> IntArray:
         """Which row of `estimates` is the last one before or at each of these instants."""
@@ -167,50 +172,69 @@ def read_result(folder: Path, filter_name: str | None = None) -> Result:
     table = read_table(
         below / "estimates.csv", [c for c in core if c not in sigmas], [*sigmas, *further]
     )
+    estimates, evidence = Estimates(table.t_us, table.columns), read_evidence(below / FILE)
     return Result(
         folder,
         name,
         summary,
         load(below / "config.yaml"),
-        Estimates(table.t_us, table.columns),
+        estimates,
         read_innovations(below / "innovations.csv"),
-        read_evidence(below / FILE),
+        evidence,
+        errors_of(estimates, _judge(evidence)),
     )
+
+
+def _judge(evidence: Evidence | None) -> Truth | None:
+    judges = () if evidence is None else (evidence.truth, evidence.reference)
+    return next((judge for judge in judges if judge is not None and len(judge) > 1), None)
+
+
+def errors_of(e: Estimates, judge: Truth | None) -> Errors | None:
+    """Estimate minus truth at the instants that it covers; None where there is none."""
+    if judge is None or not len(e):
+        return None
+    errors = errors_against(e.t_us, e.lla, e.v_l, e.euler, judge.columns())
+    return errors if len(errors.t_us) else None
 
 
 def read_innovations(path: Path) -> dict[str, Innovations]:
     """innovations.csv by aiding, each in the order of the file. Raises LogFormatError."""
     try:
-        with path.open(encoding="ascii", newline="") as file:
-            header, *rows = csv.reader(file)
-    except (OSError, ValueError) as error:
-        raise LogFormatError(f"cannot read {path}: {error}") from error
-    if header != INNOVATIONS.split(",") or any(len(row) != len(header) for row in rows):
+        head, _, body = path.read_bytes().partition(b"\n")
+    except OSError as error:
+        raise LogFormatError(f"cannot read {path}: {error.strerror}") from error
+    if head.decode("latin-1").strip() != INNOVATIONS:
         raise LogFormatError(f"{path} is damaged: not the columns of innovations.csv")
-    groups: dict[str, list[list[str]]] = {}
-    for row in rows:
-        groups.setdefault(row[2], []).append(row)
+    if not body.strip():
+        return {}
     try:
-        return {aiding: _innovations(aiding, group) for aiding, group in groups.items()}
+        rows = np.loadtxt(
+            io.BytesIO(with_nan(body)), dtype=_ROW, delimiter=",", comments=None, ndmin=1
+        )
     except ValueError as error:
         raise LogFormatError(f"{path} is damaged: {error}") from error
+    names, first, which = np.unique(rows["aiding"], return_index=True, return_inverse=True)
+    return {
+        names[k].decode("latin-1"): _innovations(rows[which == k])
+        for k in np.argsort(first).tolist()
+    }
 
 
-def _innovations(aiding: str, rows: list[list[str]]) -> Innovations:
-    columns = list(zip(*rows, strict=True))
-    nis, *parts = (np.array([float(value or "nan") for value in column]) for column in columns[6:])
-    known = np.isfinite(np.array(parts[:_WIDEST])).any(axis=1)
-    width = max(1, int(known.sum()))
+def _innovations(rows: NDArray[Any]) -> Innovations:
+    values = rows["innovation"]
+    width = max(1, int(np.isfinite(values).any(axis=0).sum()))
+    reason = np.where(rows["reason"] == b"nan", b"", rows["reason"])
     return Innovations(
-        aiding,
-        np.array(columns[0], dtype=np.int64),
-        np.array(columns[1], dtype=np.int64),
-        np.array(columns[3]),
-        np.array(columns[4]) == "1",
-        np.array(columns[5]),
-        nis,
-        np.column_stack(parts[:width]),
-        np.column_stack(parts[_WIDEST : _WIDEST + width]),
+        rows["aiding"][0].decode("latin-1"),
+        rows["t_us"].copy(),
+        rows["stamp_us"].copy(),
+        rows["source"].astype(np.str_),
+        rows["accepted"] == 1,
+        reason.astype(np.str_),
+        rows["nis"].copy(),
+        values[:, :width].copy(),
+        rows["sigma"][:, :width].copy(),
     )
 
 

@@ -185,7 +185,7 @@ def _unbroken(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def errors(result: Result) -> Iterator[Figure]:
     """Errors inside their 3 sigma; without anything to compare to, the sigmas alone."""
-    e, found = result.estimates, result.errors()
+    e, found = result.estimates, result.errors
     kinds = (
         ("position", "m", _NED, e.sd_p, 1.0, None if found is None else found.pos),
         ("velocity", "m/s", _NED, e.sd_v, 1.0, None if found is None else found.vel),
