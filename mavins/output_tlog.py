@@ -1,6 +1,6 @@
 """The messages that a service would have sent about a log's vehicle, made by what makes them live, into a .tlog.
 
-Not among them: what goes to the autopilot alone, answers to requests, and what a monitor says.
+Not among them: what the autopilot alone is given or asked for, answers to requests, and what a monitor says.
 """
 
 from __future__ import annotations

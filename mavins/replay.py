@@ -20,7 +20,7 @@ from mavins.estimator.smoothing import smooth
 from mavins.estimator.solution import EULER, LLA, V_L, WIDTH
 from mavins.evaluation.errors import errors_against
 from mavins.evaluation.evidence import FILE, write_evidence
-from mavins.evaluation.result_folder import read_result
+from mavins.evaluation.result_folder import Result, read_result
 from mavins.evaluation.witness import Witness
 from mavins.logs.sensor_log import DEFAULT, Choice
 from mavins.logs.truth import Truth
@@ -65,18 +65,21 @@ def replay(
     config: Config,
     options: ReplayOptions,
     progress: Callable[[float], None] = lambda _: None,
-    finish: Callable[[Path], None] | None = None,
+    finish: Callable[[Result], None] | None = None,
 ) -> dict[str, Any]:
     """Run a log of any kind through the estimator, write the result folder, return the summary.
 
-    `finish` is handed the folder once all is in it, before it takes the place of `out`. Raises
+    `finish` is handed the result once it is in its folder, before that takes the place of `out`. Raises
     LogFormatError for what is not a log with an IMU, OutputError where `out` cannot be written.
     """
     own = [REPORT, *(f"{config.filter}/{name}" for name in (*FILES, *exports.FILES))]
     with written_whole(out, SUMMARY, own) as aside:
         summary = _replay(log, aside, config, options, progress)
-        if finish is not None:
-            finish(aside)
+        if options.exports or finish is not None:
+            result = read_result(aside)
+            exports.write_exports(result, options.exports, aside / config.filter)
+            if finish is not None:
+                finish(result)
     return summary
 
 
@@ -130,8 +133,6 @@ def _replay(
     summary["cpu_s"] = time.process_time() - cpu
     summary["times_real_time"] = source.seconds / summary["cpu_s"]
     write_json(out / SUMMARY, summary)
-    if options.exports:
-        exports.write_exports(read_result(out), options.exports, folder)
     return summary
 
 

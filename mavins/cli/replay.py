@@ -8,10 +8,13 @@ import shlex
 import sys
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mavins.cli.progress import progress_bar
 from mavins.errors import ConfigError
+
+if TYPE_CHECKING:
+    from mavins.evaluation.result_folder import Result
 
 SUMMARY = """\
 Run a log through the same estimator as the live service. The whole log is filtered; --start and
@@ -106,15 +109,15 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _report(out: Path, folder: Path) -> None:
+def _report(out: Path, result: Result) -> None:
     """Write the report into the folder that is to take the place of `out`.
 
     Without the extra, say how to get it: the results are whole without it.
     """
     try:
-        from mavins.report import write_report
+        from mavins.report import write_report_of
 
-        write_report(folder)
+        write_report_of(result)
     except ModuleNotFoundError as error:
         if error.name is None or error.name.partition(".")[0] != "plotly":
             raise

@@ -18,6 +18,7 @@ import pytest
 
 from mavins.cli.main import main
 from mavins.config import Config
+from mavins.evaluation.result_folder import Result
 from mavins.replay import ReplayOptions, replay
 from mavins.results import write_text
 
@@ -162,15 +163,18 @@ def test_the_report_is_part_of_what_is_whole(tmp_path: Path) -> None:
     """It is there with the rest, or nothing is."""
     log, out = flight(tmp_path / "flight", 20), tmp_path / "result"
 
-    def stop(folder: Path) -> None:
-        assert (folder / "summary.json").exists()
+    def report(result: Result) -> None:
+        write_text(result.folder / "report.html", "whole")
+
+    def stop(result: Result) -> None:
+        report(result)
         assert not (out / "summary.json").exists()
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         replay(log, out, Config(), ReplayOptions(), finish=stop)
     assert not out.exists()
-    replay(log, out, Config(), ReplayOptions(), finish=lambda f: write_text(f / "report.html", "x"))
+    replay(log, out, Config(), ReplayOptions(), finish=report)
     assert {path.name for path in out.iterdir()} == {"summary.json", "report.html", "eskf"}
 
 

@@ -23,7 +23,7 @@ from mavins.mavlink.codec import (
     heartbeat,
     highres_imu,
 )
-from mavins.mavlink.session import Session
+from mavins.mavlink.session import Session, Surroundings
 from mavins.output_tlog import OutputLog
 from mavins.tlog_source import TlogSource
 from mavins.types import GnssFix, ImuSample
@@ -98,11 +98,9 @@ def live(log: Path, out: Path, config: Config) -> Path:
 
     recorder = Ours()
     session = Session(
-        config.mavlink,
-        config.streams,
-        config.sources,
+        config,
         lambda sysid: Estimator(config, config.filter),
-        recorder=recorder,
+        Surroundings(recorder=recorder),
     )
     frames = read_tlog(log)
     tick_us = 0
@@ -127,7 +125,7 @@ ESTIMATE = {
 
 
 def test_a_session_says_the_same(log: Path, tmp_path: Path) -> None:
-    config = Config()
+    config = load(None, {"asking.enabled": False})
     ours, theirs = bodies(said(log, tmp_path, config)), bodies(live(log, tmp_path, config))
     assert set(ours) == set(theirs)
     for msgid, name in ESTIMATE.items():

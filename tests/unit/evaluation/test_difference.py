@@ -53,7 +53,8 @@ def result(found: Estimates | None = None, config: Config | None = None, **summa
         config or Config(),
         found or estimates(),
         innovations(7, 3),
-        None,
+        evidence=None,
+        errors=None,
     )
 
 
