@@ -47,6 +47,8 @@ EXTRAS: Final = {
     "plotly": "report",
     "pyarrow": "export",
     "foxglove": "export",
+    "pyulog": "logs",
+    "zstandard": "logs",
 }
 """Modules that come with an optional extra: import name -> the extra's name."""
 

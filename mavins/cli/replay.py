@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from mavins.cli.choosing import LOG_HELP, add_choice, choice_of
 from mavins.cli.progress import progress_bar
 from mavins.errors import ConfigError
 
@@ -27,6 +28,7 @@ examples:
   mavins replay flight.tlog --out result --config flight.yaml --rate 0
   mavins replay flight.tlog --out result --smooth
   mavins replay flight/ --out result    a folder with imu.csv, gnss.csv, mag.csv, ... (.xz, .gz)
+  mavins replay flight.ulg --out result --imu 1 --gnss sensor_gps.1
   mavins replay flight.tlog --out result --export mcap,tlog
   mavins replay flight.tlog --dry-run   what would be used
 
@@ -41,8 +43,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "log",
         type=Path,
         metavar="LOG",
-        help="a .tlog, also in .gz or .xz, or a folder of CSV files",
+        help=LOG_HELP,
     )
+    add_choice(parser)
     parser.add_argument("--out", type=Path, metavar="DIR", help="the result folder")
     parser.add_argument("--filter", metavar="NAME", help="the filter (default: the configured one)")
     parser.add_argument("--config", type=Path, metavar="FILE", help="settings in YAML")
@@ -94,7 +97,13 @@ def run(args: argparse.Namespace) -> int:
     overrides = {} if args.filter is None else {"filter": args.filter}
     config = load(args.config, overrides)
     options = ReplayOptions(
-        args.start, args.end, args.rate, args.sysid, args.smooth, exports=formats
+        args.start,
+        args.end,
+        args.rate,
+        args.sysid,
+        args.smooth,
+        choice_of(args),
+        formats,
     )
     if args.dry_run:
         from mavins.cli.dry_run import lines_of as plan_of
