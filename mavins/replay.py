@@ -4,33 +4,46 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from mavins import __version__
+from mavins import __version__, exports
 from mavins.config import Config, to_yaml
 from mavins.estimator.estimator import Estimator, Outputs
+from mavins.estimator.feed import Feed
 from mavins.estimator.history import History
 from mavins.estimator.smoothing import smooth
 from mavins.estimator.solution import EULER, LLA, V_L, WIDTH
 from mavins.evaluation.errors import errors_against
 from mavins.evaluation.evidence import FILE, write_evidence
+from mavins.evaluation.result_folder import Result, read_result
 from mavins.evaluation.witness import Witness
 from mavins.logs.sensor_log import DEFAULT, Choice
 from mavins.logs.truth import Truth
-from mavins.results import EstimatesFile, ResultWriter, write_json, write_text
+from mavins.output_tlog import OutputLog
+from mavins.results import (
+    FILES,
+    REPORT,
+    SUMMARY,
+    EstimatesFile,
+    ResultWriter,
+    write_json,
+    write_text,
+)
 from mavins.sources import judge_of, source_of
 from mavins.types import FloatArray, IntArray
+from mavins.whole_folder import written_whole
 
 
 @dataclass(frozen=True, slots=True)
 class ReplayOptions:
     """What of the log is written and judged: `start`, `end` in s on the vehicle's boot clock, `rate` in Hz (0: every
     IMU sample), `sysid` None for the first vehicle that sends an IMU; `choice` names the log's sources; `smooth` adds
-    smoothed.csv."""
+    smoothed.csv, `exports` other formats."""
 
     start: float | None = None
     end: float | None = None
@@ -38,6 +51,7 @@ class ReplayOptions:
     sysid: int | None = None
     smooth: bool = False
     choice: Choice = DEFAULT
+    exports: tuple[str, ...] = ()
 
 
 def grid_us(rate: float) -> int:
@@ -51,11 +65,31 @@ def replay(
     config: Config,
     options: ReplayOptions,
     progress: Callable[[float], None] = lambda _: None,
+    finish: Callable[[Result], None] | None = None,
 ) -> dict[str, Any]:
     """Run a log of any kind through the estimator, write the result folder, return the summary.
 
-    Raises LogFormatError for what is not a log with an IMU, OutputError where `out` cannot be written.
+    `finish` is handed the result once it is in its folder, before that takes the place of `out`. Raises
+    LogFormatError for what is not a log with an IMU, OutputError where `out` cannot be written.
     """
+    own = [REPORT, *(f"{config.filter}/{name}" for name in (*FILES, *exports.FILES))]
+    with written_whole(out, SUMMARY, own) as aside:
+        summary = _replay(log, aside, config, options, progress)
+        if options.exports or finish is not None:
+            result = read_result(aside)
+            exports.write_exports(result, options.exports, aside / config.filter)
+            if finish is not None:
+                finish(result)
+    return summary
+
+
+def _replay(
+    log: Path,
+    out: Path,
+    config: Config,
+    options: ReplayOptions,
+    progress: Callable[[float], None],
+) -> dict[str, Any]:
     wall, cpu = time.perf_counter(), time.process_time()
     source = source_of(log, config, options.sysid, options.choice)
     config = source.config
@@ -64,13 +98,19 @@ def replay(
         2**62 if options.end is None else round(options.end * 1e6),
     )
     folder = out / config.filter
-    with ResultWriter(folder, config.states.layout(), keep=True) as writer:
+    with ExitStack() as stack:
+        writer = stack.enter_context(ResultWriter(folder, config.states.layout(), keep=True))
         writer.bounds_us = bounds
         history = History() if options.smooth else None
         grid = grid_us(options.rate)
         outputs = Outputs(grid, writer.write_rows, writer.write_decision, history)
         estimator = Estimator(config, config.filter, outputs)
-        witness = Witness(estimator)
+        feed: Feed = estimator
+        if exports.TLOG in options.exports:
+            log_path = folder / exports.OUTPUT_TLOG
+            feed = OutputLog(log_path, estimator, config, *source.speaker(), source.received_us)
+            stack.callback(feed.close)
+        witness = Witness(feed)
         source.feed(witness, progress)
         estimator.finish()
     write_text(folder / "config.yaml", to_yaml(config))
@@ -92,7 +132,7 @@ def replay(
     summary["wall_s"] = time.perf_counter() - wall
     summary["cpu_s"] = time.process_time() - cpu
     summary["times_real_time"] = source.seconds / summary["cpu_s"]
-    write_json(out / "summary.json", summary)
+    write_json(out / SUMMARY, summary)
     return summary
 
 

@@ -10,7 +10,7 @@ import json
 import math
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Final
@@ -45,6 +45,17 @@ INNOVATIONS: Final = (
     "t_us,stamp_us,aiding,source,accepted,reason,nis,"
     "innovation_0,innovation_1,innovation_2,sigma_0,sigma_1,sigma_2"
 )
+SUMMARY: Final = "summary.json"
+"""Written last: a folder that has it is whole."""
+REPORT: Final = "report.html"
+FILES: Final = (
+    "estimates.csv",
+    "innovations.csv",
+    "smoothed.csv",
+    "evidence.npz",
+    "config.yaml",
+)
+"""What there may be in a filter's folder, exports aside."""
 _DECIMALS: Final = np.array([10, 10, 4] + [6] * 6 + [9] * 7 + [6] * 6 + [9] * 15, dtype=np.int64)
 """Of each column after t_us: lat and lon in degrees to 10 um, metres and m/s to a millionth, angles to a nanoradian."""
 _HEAD: Final = "%d,%d,%s,%s,%d,%s,%.9g"
@@ -212,6 +223,9 @@ def write_text(path: Path, text: str) -> None:
         raise OutputError(
             f"cannot write {path}: {error.strerror}; choose another --out folder"
         ) from error
+    finally:
+        with suppress(OSError):
+            aside.unlink(missing_ok=True)
 
 
 def write_json(path: Path, content: dict[str, Any]) -> None:

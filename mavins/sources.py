@@ -16,6 +16,8 @@ from mavins.logs.content import kind_of
 from mavins.logs.feeding import feed_log, settled
 from mavins.logs.sensor_log import DEFAULT, Choice, SensorLog
 from mavins.logs.truth import Truth
+from mavins.mavlink.identity import identity_for
+from mavins.mavlink.peers import Identity
 from mavins.outcome import outcome_of
 from mavins.tlog_source import TlogSource
 
@@ -46,6 +48,12 @@ class Source(Protocol):
     def feed(self, estimator: Feed, progress: Callable[[float], None]) -> None:
         """All of the log into an estimator."""
 
+    def speaker(self) -> tuple[int, Identity]:
+        """The vehicle's sysid, and under which ids a service speaks about it."""
+
+    def received_us(self, t_us: int) -> int:
+        """When a service would have had the sample of an instant; since boot where the log tells no other clock."""
+
     def summary(self, estimator: Estimator) -> dict[str, Any]:
         """What was fed, and what the estimator made of it."""
 
@@ -69,11 +77,20 @@ class SensorSource:
         """All tables, merged by their stamps."""
         feed_log(self._log, estimator, self.config, progress)
 
+    def speaker(self) -> tuple[int, Identity]:
+        """Such logs have no sysid: it is vehicle 1."""
+        return 1, identity_for(1, self.config.mavlink, (), ())
+
+    def received_us(self, t_us: int) -> int:
+        """At the instant itself."""
+        return t_us
+
     def summary(self, estimator: Estimator) -> dict[str, Any]:
         """What the tables hold, and what the estimator made of it."""
         log, counts = self._log, self._log.counts
         return {
             "imu": {"message": log.names["imu"], "id": 0},
+            "sources": dict(log.names),
             "messages": counts,
             "rates_hz": {name: n / max(self.seconds, 1e-6) for name, n in counts.items()},
             "dropped": {k: v for k, v in (log.dropped + estimator.dropped).items() if v},

@@ -28,6 +28,8 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     "sitl": ("mavins.cli.sitl", "fly the simulator: sensors and truth as MAVLink"),
     "replay": ("mavins.cli.replay", "run the estimator on a log"),
     "report": ("mavins.cli.report", "make the report of a result folder again"),
+    "export": ("mavins.cli.export", "write a result folder in other formats"),
+    "diff": ("mavins.cli.diff", "compare two result folders"),
     "compare": ("mavins.cli.compare", "run several filters on the same samples"),
     "observe": ("mavins.cli.observe", "which states a flight makes observable, and when"),
     "play": ("mavins.cli.play", "send a log's packets into a UDP port at their own pace"),
@@ -43,6 +45,8 @@ EXTRAS: Final = {
     "mavsdk": "acceptance",
     "matplotlib": "report",
     "plotly": "report",
+    "pyarrow": "export",
+    "foxglove": "export",
     "zstandard": "logs",
 }
 """Modules that come with an optional extra: import name -> the extra's name."""

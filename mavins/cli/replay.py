@@ -6,12 +6,16 @@ import argparse
 import math
 import shlex
 import sys
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mavins.cli.choosing import LOG_HELP, add_choice, choice_of
 from mavins.cli.progress import progress_bar
 from mavins.errors import ConfigError
+
+if TYPE_CHECKING:
+    from mavins.evaluation.result_folder import Result
 
 SUMMARY = """\
 Run a log through the same estimator as the live service. The whole log is filtered; --start and
@@ -25,9 +29,12 @@ examples:
   mavins replay flight.tlog --out result --smooth
   mavins replay flight/ --out result    a folder with imu.csv, gnss.csv, mag.csv, ... (.xz, .gz)
   mavins replay flight.ulg --out result --imu 1 --gnss sensor_gps.1
+  mavins replay flight.tlog --out result --export mcap,tlog
+  mavins replay flight.tlog --dry-run   what would be used
 
 writes: OUT/<filter>/estimates.csv, innovations.csv, config.yaml, evidence.npz, OUT/summary.json
-and OUT/report.html; with --smooth also OUT/<filter>/smoothed.csv"""
+and OUT/report.html; with --smooth also OUT/<filter>/smoothed.csv; other formats beside them (--export).
+All of it takes the place of an earlier result at once, at the end; other files in OUT stay."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -39,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=LOG_HELP,
     )
     add_choice(parser)
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="the result folder")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="the result folder")
     parser.add_argument("--filter", metavar="NAME", help="the filter (default: the configured one)")
     parser.add_argument("--config", type=Path, metavar="FILE", help="settings in YAML")
     parser.add_argument("--start", type=float, metavar="S", help="boot time of the first row, s")
@@ -59,7 +66,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="also write smoothed.csv: estimates that know what came later (Rauch-Tung-Striebel)",
     )
-
+    parser.add_argument(
+        "--export",
+        default="usual",
+        metavar="FORMATS",
+        help="comma-separated: tum, kml, gpx, parquet, mcap, tlog; all; none (default: the first "
+        "three, and parquet with the extra 'export')",
+    )
+    parser.add_argument(
+        "--dry-run",
+        action="store_true",
+        help="read the log, say what would be used and written, and run nothing",
+    )
     parser.add_argument(
         "--no-report", action="store_true", help="write no report.html (mavins report makes it)"
     )
@@ -68,30 +86,47 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Replay and print the summary."""
     from mavins.config import load
+    from mavins.exports import REGISTRY, TLOG, formats_of
     from mavins.replay import ReplayOptions, replay
 
     _check_bounds(args.start, args.end, args.rate)
+    if args.out is None and not args.dry_run:
+        raise ConfigError("where to? give a result folder: --out DIR")
+    formats = formats_of(args.export, (*REGISTRY, TLOG))
 
     overrides = {} if args.filter is None else {"filter": args.filter}
     config = load(args.config, overrides)
     options = ReplayOptions(
-        args.start, args.end, args.rate, args.sysid, args.smooth, choice_of(args)
+        args.start,
+        args.end,
+        args.rate,
+        args.sysid,
+        args.smooth,
+        choice_of(args),
+        formats,
     )
+    if args.dry_run:
+        from mavins.cli.dry_run import lines_of as plan_of
+
+        print("\n".join(plan_of(args.log, args.out, config, options)))
+        return 0
     with progress_bar(f"replay {args.log.name}", 1.0, quiet=args.verbosity < 0) as report:
-        summary = replay(args.log, args.out, config, options, report)
+        finish = None if args.no_report else partial(_report, args.out)
+        summary = replay(args.log, args.out, config, options, report, finish)
     if args.verbosity >= 0:
         print("\n".join(lines_of(summary, args.out)))
-    if not args.no_report:
-        _report(args.out)
     return 0
 
 
-def _report(out: Path) -> None:
-    """Write the report; without the extra, say how to get it: the results are whole without it."""
-    try:
-        from mavins.report import write_report
+def _report(out: Path, result: Result) -> None:
+    """Write the report into the folder that is to take the place of `out`.
 
-        write_report(out)
+    Without the extra, say how to get it: the results are whole without it.
+    """
+    try:
+        from mavins.report import write_report_of
+
+        write_report_of(result)
     except ModuleNotFoundError as error:
         if error.name is None or error.name.partition(".")[0] != "plotly":
             raise

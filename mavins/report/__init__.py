@@ -11,9 +11,8 @@ from mavins.report.drawing import Figure
 from mavins.report.figures import of_estimate
 from mavins.report.figures_innovations import of_innovations
 from mavins.report.figures_sensors import of_sensors
-from mavins.results import write_text
+from mavins.results import REPORT, write_text
 
-REPORT: Final = "report.html"
 PNGS: Final = "figures"
 
 
@@ -35,9 +34,14 @@ def write_report(folder: Path, png: bool = False) -> list[Path]:
 
     Raises LogFormatError for what is no result folder, OutputError where nothing can be written.
     """
+    return write_report_of(read_result(folder), png)
+
+
+def write_report_of(result: Result, png: bool = False) -> list[Path]:
+    """The same of a result that was read, into its folder."""
     from mavins.report.page import page_of
 
-    result = read_result(folder)
+    folder = result.folder
     sections = sections_of(result)
     written = [folder / REPORT]
     write_text(written[0], page_of(result, findings(result), sections))
