@@ -5,7 +5,7 @@ from __future__ import annotations
 from array import array
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,9 @@ from mavins.estimator.solution import (
 from mavins.evaluation.errors import Errors, errors_against
 from mavins.logs.truth import Truth
 from mavins.types import FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _HEAD: Final = 5
 """Numbers of a decision before its innovation: t_us, stamp_us, accepted, nis, rows."""
@@ -134,6 +137,11 @@ class Innovations:
     def __len__(self) -> int:
         return len(self.t_us)
 
+    @property
+    def rows(self) -> int:
+        """How many rows a measurement has."""
+        return int(self.innovation.shape[1])
+
 
 @dataclass(frozen=True, slots=True)
 class Result(Estimates):
@@ -151,6 +159,17 @@ class Result(Estimates):
     errors: Errors | None
     smoothed: Estimates | None
     summary: Mapping[str, Any]
+
+    def plot(self) -> Figure:
+        """Draw it as a matplotlib figure, which needs the extra `report`."""
+        try:
+            from mavins.result_plot import plot_result
+        except ModuleNotFoundError as error:
+            if (error.name or "").partition(".")[0] != "matplotlib":
+                raise
+            hint = "matplotlib is not installed; install it with: pip install 'mavins[report]'"
+            raise ModuleNotFoundError(hint, name=error.name) from error
+        return plot_result(self)
 
 
 class Decisions:
