@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import heapq
 import math
-from collections.abc import Iterator
 
 import numpy as np
 
@@ -64,9 +62,10 @@ def flight(config: Config, scenario: Scenario, seed: int, duration: float) -> tu
     tape = Tape(config)
     tape.set_origin(origin_of(scenario))
     start = 0
-    aids: Iterator[GnssFix | HeadingFix] = heapq.merge(m.headings, m.fixes, key=lambda a: a.t_us)
-    for aid in aids:
-        end = int(m.imu.t_us.searchsorted(aid.t_us, "right"))
+    aids: list[GnssFix | HeadingFix] = [*m.headings, *m.fixes]
+    aids.sort(key=lambda aid: aid.t_us)
+    ends = m.imu.t_us.searchsorted([aid.t_us for aid in aids], "right").tolist()
+    for aid, end in zip(aids, ends, strict=True):
         if end > start:
             tape.feed_imu(_rows(m.imu, start, end))
             start = end
