@@ -28,6 +28,10 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     "sitl": ("mavins.cli.sitl", "fly the simulator: sensors and truth as MAVLink"),
     "replay": ("mavins.cli.replay", "run the estimator on a log"),
     "compare": ("mavins.cli.compare", "run several filters on the same samples"),
+    "montecarlo": (
+        "mavins.cli.montecarlo",
+        "fly a scenario many times, and judge the errors of all runs",
+    ),
     "observe": ("mavins.cli.observe", "which states a flight makes observable, and when"),
     "play": ("mavins.cli.play", "send a log's packets into a UDP port at their own pace"),
     "info": ("mavins.cli.info", "show what a log holds"),
@@ -38,7 +42,7 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
 }
 """Name -> (module, one line for the overview)."""
 
-EXTRAS: Final = {"mavsdk": "acceptance", "matplotlib": "report"}
+EXTRAS: Final = {"distributed": "dask", "mavsdk": "acceptance", "matplotlib": "report"}
 """Modules that come with an optional extra: import name -> the extra's name."""
 
 EXIT_OK: Final = 0

@@ -57,7 +57,12 @@ def matched(config: Config, scenario: Scenario) -> Config:
 
 
 def flight(config: Config, scenario: Scenario, seed: int, duration: float) -> tuple[Tape, Truth]:
-    """A scenario flown with a seed: measurements by their stamps (at one stamp IMU, heading, fix), and the truth."""
+    """A scenario flown with a seed: measurements by their stamps (at one stamp IMU, heading, fix), and the truth.
+
+    The fixes come with the configured delay, or where that is `auto` with the true one.
+    """
+    told = config.gnss.delay
+    delay = scenario.gnss.latency if told == "auto" else told
     m = simulate(dataclasses.replace(scenario, truth_rate=50), seed, duration)
     tape = Tape(config)
     tape.set_origin(origin_of(scenario))
@@ -72,7 +77,7 @@ def flight(config: Config, scenario: Scenario, seed: int, duration: float) -> tu
         if isinstance(aid, HeadingFix):
             tape.feed_heading(aid)
         else:
-            tape.feed_gnss(dataclasses.replace(aid, delay=scenario.gnss.latency))
+            tape.feed_gnss(dataclasses.replace(aid, delay=delay))
     if start < len(m.imu):
         tape.feed_imu(_rows(m.imu, start, len(m.imu)))
     samples = [state.sample for state in m.states]
