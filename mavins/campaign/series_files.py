@@ -5,8 +5,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -15,6 +13,7 @@ import numpy as np
 
 from mavins import __version__
 from mavins.campaign.montecarlo import QUANTITIES, Flown, Series, figures_of
+from mavins.campaign.tables import cell, csv_text
 from mavins.evaluation.compare import SETTLED_US
 from mavins.results import write_json, write_text
 
@@ -32,8 +31,8 @@ def by_filter(flown: Sequence[Flown]) -> dict[str, list[Flown]]:
 def write_series(out: Path, name: str, series: Series, flown: Sequence[Flown]) -> dict[str, Any]:
     """Write the tables; returns the figures of each filter."""
     figures = {filter_name: figures_of(runs) for filter_name, runs in by_filter(flown).items()}
-    write_text(out / "runs.csv", _csv(_rows(flown)))
-    write_text(out / "timing.csv", _csv(_times(flown)))
+    write_text(out / "runs.csv", csv_text(_rows(flown)))
+    write_text(out / "timing.csv", csv_text(_times(flown)))
     content = {
         "mavins": __version__,
         "scenario": name,
@@ -52,14 +51,14 @@ def _rows(flown: Sequence[Flown]) -> Iterator[dict[str, Any]]:
     aidings = sorted({name for f in flown for name in f.nis})
     for f in flown:
         row: dict[str, Any] = {"run": f.run, "seed": f.seed, "filter": f.filter, **f.drawn}
-        row |= {"health": f.health, "resets": f.resets, "converged_s": _cell(f.converged_s)}
+        row |= {"health": f.health, "resets": f.resets, "converged_s": cell(f.converged_s)}
         for kind, values in (("rms", f.rms), ("max", f.largest)):
             names = (f"{kind}_{quantity}" for quantity in QUANTITIES)
-            row |= dict(zip(names, map(_cell, values.tolist()), strict=True))
-        row["nees"] = _cell(float(np.mean(f.nees)) if len(f.nees) else np.nan)
+            row |= dict(zip(names, map(cell, values.tolist()), strict=True))
+        row["nees"] = cell(float(np.mean(f.nees)) if len(f.nees) else np.nan)
         for name in aidings:
             total, rows = f.nis.get(name, (0.0, 0))
-            row[f"nis_{name}"] = _cell(total / rows if rows else np.nan)
+            row[f"nis_{name}"] = cell(total / rows if rows else np.nan)
         row["refused"] = sum(f.refused.values())
         row["reason"] = f.reason
         yield row
@@ -74,19 +73,6 @@ def _times(flown: Sequence[Flown]) -> Iterator[dict[str, Any]]:
             "simulation_cpu_s": simulation,
             "filter_cpu_s": estimation,
         }
-
-
-def _cell(value: float) -> str:
-    return f"{value:.6g}" if np.isfinite(value) else ""
-
-
-def _csv(rows: Iterator[dict[str, Any]]) -> str:
-    table = list(rows)
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(table[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(table)
-    return text.getvalue()
 
 
 def table_lines(figures: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:

@@ -9,16 +9,16 @@ if TYPE_CHECKING:
     from mavins.campaign.workers import Workers
 
 
-def add_worker_options(parser: argparse.ArgumentParser) -> None:
+def add_worker_options(parser: argparse.ArgumentParser, when: str = "") -> None:
     """Declare --jobs and --scheduler."""
     where = parser.add_mutually_exclusive_group()
     where.add_argument(
-        "--jobs", type=int, metavar="N", help="worker processes (default: one for each core)"
+        "--jobs", type=int, metavar="N", help=f"{when}worker processes (default: one for each core)"
     )
     where.add_argument(
         "--scheduler",
         metavar="URL",
-        help="a Dask scheduler's address, tcp://HOST:8786 (needs the extra 'dask')",
+        help=f"{when}a Dask scheduler's address, tcp://HOST:8786 (needs the extra 'dask')",
     )
 
 

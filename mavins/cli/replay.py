@@ -5,14 +5,19 @@ from __future__ import annotations
 import argparse
 import math
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from mavins.cli.campaign_options import add_worker_options, workers_of
 from mavins.cli.progress import progress_bar
 from mavins.errors import ConfigError
 
+if TYPE_CHECKING:
+    from mavins.config import Config
+    from mavins.replay import ReplayOptions
+
 SUMMARY = """\
-Run a log through the same estimator as the live service. The whole log is filtered; --start and
---end bound what is written and judged."""
+Run a log, or every log of a folder, through the same estimator as the live service. A whole log is
+filtered; --start and --end bound what is written and judged."""
 
 EPILOG = """\
 examples:
@@ -21,9 +26,12 @@ examples:
   mavins replay flight.tlog --out result --config flight.yaml --rate 0
   mavins replay flight.tlog --out result --smooth
   mavins replay flight/ --out result    a folder with imu.csv, gnss.csv, mag.csv, ... (.xz, .gz)
+  mavins replay archive/ --out results --jobs 4          every log of a folder and those below it
 
 writes: OUT/<filter>/estimates.csv, innovations.csv, config.yaml and OUT/summary.json;
-with --smooth also OUT/<filter>/smoothed.csv"""
+with --smooth also OUT/<filter>/smoothed.csv
+of a folder of logs: all this in OUT/<log>/, and archive.csv and archive.json over all; what is
+finished is not done again, and where a log could not be replayed the exit status is 1"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -32,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "log",
         type=Path,
         metavar="LOG",
-        help="a .tlog, also in .gz or .xz, or a folder of CSV files",
+        help="a .tlog, also in .gz or .xz, a folder of CSV files, or a folder of logs",
     )
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="the result folder")
     parser.add_argument("--filter", metavar="NAME", help="the filter (default: the configured one)")
@@ -54,10 +62,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="also write smoothed.csv: estimates that know what came later (Rauch-Tung-Striebel)",
     )
+    add_worker_options(parser, "of a folder of logs: ")
 
 
 def run(args: argparse.Namespace) -> int:
     """Replay and print the summary."""
+    from mavins.campaign.archive import is_archive
     from mavins.config import load
     from mavins.replay import ReplayOptions, replay
 
@@ -66,11 +76,42 @@ def run(args: argparse.Namespace) -> int:
     overrides = {} if args.filter is None else {"filter": args.filter}
     config = load(args.config, overrides)
     options = ReplayOptions(args.start, args.end, args.rate, args.sysid, args.smooth)
+    if is_archive(args.log):
+        return _archive(args, config, options)
+    if args.jobs is not None or args.scheduler is not None:
+        raise ConfigError(f"--jobs and --scheduler are for a folder of logs, {args.log} is one log")
     with progress_bar(f"replay {args.log.name}", 1.0, quiet=args.verbosity < 0) as report:
         summary = replay(args.log, args.out, config, options, report)
     if args.verbosity >= 0:
         print("\n".join(lines_of(summary, args.out)))
     return 0
+
+
+def _archive(args: argparse.Namespace, config: Config, options: ReplayOptions) -> int:
+    """Replay all logs of a folder, print the table over all; 1 where one could not be replayed."""
+    from mavins.campaign.archive import (
+        DONE,
+        FAILED,
+        finished,
+        jobs_of,
+        replay_archive,
+        table_lines,
+        write_archive,
+    )
+    from mavins.results import check_folder
+
+    workers, quiet = workers_of(args), args.verbosity < 0
+    jobs = jobs_of(args.log, args.out, config, options)
+    check_folder(args.out)
+    before = sum(finished(job) is not None for job in jobs)
+    with progress_bar(f"replay {args.log.name}", 1.0, quiet=quiet) as report:
+        replayed = replay_archive(jobs, workers, report)
+    write_archive(args.out, args.log, replayed)
+    if not quiet:
+        print("\n".join(table_lines(replayed)))
+        done = sum(one.status == DONE for one in replayed)
+        print(f"{done} of {len(jobs)} replayed ({before} of them before), written to {args.out}")
+    return int(any(one.status == FAILED for one in replayed))
 
 
 def _check_bounds(start: float | None, end: float | None, rate: float) -> None:

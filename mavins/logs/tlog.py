@@ -17,7 +17,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Final
 
-from mavins.errors import LogFormatError, OutputError
+from mavins.errors import LogFormatError, NotALogError, OutputError
 from mavins.mavlink.codec.framing import STAMP_LENGTH, Frames, scan_tlog
 
 _BUFFER: Final = 1 << 16
@@ -120,7 +120,7 @@ def read_tlog(path: str | Path) -> Frames:
     frames = scan_tlog(data)
     # a few packets may turn up in any large file by chance
     if len(frames) == 0 or frames.damage.skipped_bytes > 0.9 * len(data):
-        raise LogFormatError(f"{path} is not a MAVLink .tlog: no packets with stamps in it")
+        raise NotALogError(f"{path} is not a MAVLink .tlog: no packets with stamps in it")
     return frames
 
 
