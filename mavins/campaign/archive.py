@@ -11,6 +11,7 @@ import json
 import logging
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -19,7 +20,7 @@ from mavins import __version__
 from mavins.campaign.tables import cell, csv_text
 from mavins.campaign.workers import LOST, Workers, ready, spread
 from mavins.config import Config, to_yaml
-from mavins.errors import LogFormatError, MavinsError, NotALogError
+from mavins.errors import LogFormatError, MavinsError, NotALogError, OutputError
 from mavins.logs.content import kind_of
 from mavins.replay import ReplayOptions, replay
 from mavins.results import write_json, write_text
@@ -75,6 +76,8 @@ def logs_in(archive: Path, leave_out: Path) -> Iterator[Path]:
 
 def jobs_of(archive: Path, out: Path, config: Config, options: ReplayOptions) -> list[LogJob]:
     """The logs of an archive; LogFormatError where there is none."""
+    if out.resolve() == archive.resolve():
+        raise OutputError(f"--out {out} is the archive itself; choose another folder")
     jobs = []
     for log in logs_in(archive, out):
         name = log.relative_to(archive).as_posix()
@@ -110,12 +113,13 @@ def replay_archive(
     left = [k for k in range(len(jobs)) if k not in found]
     if left:
         ready(jobs[0].config.filter)
-    for place, outcome in spread(replay_one, [jobs[k] for k in left], workers):
-        k = left[place]
-        found[k] = outcome or Replayed(jobs[k].name, FAILED, LOST)
-        _LOG.info("%s: %s %s", found[k].name, found[k].status, found[k].reason)
-        progress(len(found) / len(jobs))
-    return [found[k] for k in range(len(jobs))]
+    with closing(spread(replay_one, [jobs[k] for k in left], workers)) as outcomes:
+        for place, outcome in outcomes:
+            k = left[place]
+            found[k] = outcome or Replayed(jobs[k].name, FAILED, LOST)
+            _LOG.info("%s: %s %s", found[k].name, found[k].status, found[k].reason)
+            progress(len(found) / len(jobs))
+    return [found[k] for k in sorted(found)]
 
 
 def finished(job: LogJob) -> Replayed | None:

@@ -9,6 +9,7 @@ import math
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -121,11 +122,12 @@ def montecarlo(
         ready(name)
     jobs = jobs_of(series)
     found: dict[int, tuple[Flown, ...]] = {}
-    for k, flown in spread(fly, jobs, workers):
-        if flown is None:
-            raise MavinsError(f"run {k} (seed {jobs[k].seed}) could not be flown: {LOST}")
-        found[k] = flown
-        progress(len(found) / len(jobs))
+    with closing(spread(fly, jobs, workers)) as outcomes:
+        for k, flown in outcomes:
+            if flown is None:
+                raise MavinsError(f"run {k} (seed {jobs[k].seed}) could not be flown: {LOST}")
+            found[k] = flown
+            progress(len(found) / len(jobs))
     return [flown for k in sorted(found) for flown in found[k]]
 
 

@@ -12,7 +12,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
@@ -26,6 +26,8 @@ Outcome = TypeVar("Outcome")
 
 ROUNDS: Final = 3
 """How often a job is tried whose worker dies; in the last round each has a worker to itself."""
+PATIENCE_S: Final = 10.0
+"""How long a worker may take to tidy up."""
 LOST: Final = f"its worker was killed {ROUNDS} times (out of memory?)"
 
 
@@ -43,7 +45,7 @@ class Workers:
 
 def spread(
     task: Callable[[Job], Outcome], jobs: Sequence[Job], workers: Workers
-) -> Iterator[tuple[int, Outcome | None]]:
+) -> Generator[tuple[int, Outcome | None]]:
     """Place and outcome of every job as they are done; None for one that was given up.
 
     `task` is a function of a module, and an error that it raises ends the series. However the iteration ends, no
@@ -51,7 +53,14 @@ def spread(
     """
     if workers.scheduler is not None:
         return _on_cluster(task, jobs, workers.scheduler)
-    return _here(task, jobs, min(workers.processes or os.cpu_count() or 1, max(1, len(jobs))))
+    return _here(task, jobs, min(workers.processes or _cores(), max(1, len(jobs))))
+
+
+def _cores() -> int:
+    """The cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 @functools.cache
@@ -64,7 +73,7 @@ def ready(filter_name: str) -> None:
 
 def _here(
     task: Callable[[Job], Outcome], jobs: Sequence[Job], processes: int
-) -> Iterator[tuple[int, Outcome | None]]:
+) -> Generator[tuple[int, Outcome | None]]:
     left = dict(enumerate(jobs))
     for _ in range(ROUNDS - 1):
         for k, outcome in _one_pool(task, left, processes):
@@ -86,7 +95,7 @@ def _one_pool(
     context = multiprocessing.get_context("fork" if sys.platform == "linux" else "spawn")
     pool = ProcessPoolExecutor(processes, context, _begin)
     try:
-        places = {pool.submit(task, job): k for k, job in jobs.items()}
+        places = {pool.submit(_do, task, job): k for k, job in jobs.items()}
         for future in as_completed(places):
             yield places[future], future.result()
         pool.shutdown()
@@ -96,29 +105,58 @@ def _one_pool(
         _end(pool, [p for p in multiprocessing.active_children() if p not in others])
 
 
+class _EndedError(BaseException):
+    """A worker is told to end in the middle of a job, which may still tidy up."""
+
+
+_busy = False
+
+
 def _begin() -> None:
     """A worker's first act: an interrupt is its parent's to handle, whose end it does not outlive."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, _told_to_end)
     parent = multiprocessing.parent_process()
     assert parent is not None
 
     def follow() -> None:
         parent.join()
-        os._exit(1)
+        os.kill(os.getpid(), signal.SIGTERM)
 
     threading.Thread(target=follow, daemon=True).start()
+
+
+def _told_to_end(number: int, frame: object) -> None:
+    if _busy:
+        raise _EndedError
+    os._exit(1)
+
+
+def _do(task: Callable[[Job], Outcome], job: Job) -> Outcome:
+    """Do a job in a worker."""
+    global _busy
+    _busy = True
+    try:
+        return task(job)
+    except _EndedError:
+        os._exit(1)
+    finally:
+        _busy = False
 
 
 def _end(pool: ProcessPoolExecutor, processes: Sequence[BaseProcess]) -> None:
     """End a pool's workers in the middle of what they do."""
     for process in processes:
         process.terminate()
+    for process in processes:
+        process.join(PATIENCE_S)
+        process.kill()
     pool.shutdown(cancel_futures=True)
 
 
 def _on_cluster(
     task: Callable[[Job], Outcome], jobs: Sequence[Job], scheduler: str
-) -> Iterator[tuple[int, Outcome | None]]:
+) -> Generator[tuple[int, Outcome | None]]:
     import distributed
 
     try:
