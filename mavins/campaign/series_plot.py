@@ -53,8 +53,10 @@ def draw_series(path: Path, runs: Mapping[str, Sequence[Flown]]) -> None:
     for panel in panels[: 6 + len(varied)]:
         panel.grid(alpha=0.3)
     panels[0].legend()
+    aside = path.with_name(path.name + ".part")
     # a picture of the same numbers is the same bytes
-    figure.savefig(path, dpi=100, metadata={"Software": None})
+    figure.savefig(aside, dpi=100, format="png", metadata={"Software": None})
+    aside.replace(path)
     plt.close(figure)
 
 
