@@ -99,6 +99,9 @@ def replay_one(job: LogJob) -> Replayed:
         return Replayed(job.name, NO_LOG, str(error))
     except (MavinsError, OSError) as error:
         return Replayed(job.name, FAILED, str(error))
+    except ModuleNotFoundError as error:
+        hint = "install it with: pip install 'mavins[logs]'"
+        return Replayed(job.name, FAILED, f"the module '{error.name}' is not installed; {hint}")
     except Exception as error:
         # a mistake of ours in one log is no reason to lose the others: it is told with its name
         _LOG.exception("%s", job.name)

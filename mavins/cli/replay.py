@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mavins.cli.campaign_options import add_worker_options, workers_of
+from mavins.cli.choosing import LOG_HELP, add_choice, choice_of
 from mavins.cli.progress import progress_bar
 from mavins.errors import ConfigError
 
@@ -26,6 +27,7 @@ examples:
   mavins replay flight.tlog --out result --config flight.yaml --rate 0
   mavins replay flight.tlog --out result --smooth
   mavins replay flight/ --out result    a folder with imu.csv, gnss.csv, mag.csv, ... (.xz, .gz)
+  mavins replay flight.ulg --out result --imu 1 --gnss sensor_gps.1
   mavins replay archive/ --out results --jobs 4          every log of a folder and those below it
 
 writes: OUT/<filter>/estimates.csv, innovations.csv, config.yaml and OUT/summary.json;
@@ -40,8 +42,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "log",
         type=Path,
         metavar="LOG",
-        help="a .tlog, also in .gz or .xz, a folder of CSV files, or a folder of logs",
+        help=f"{LOG_HELP}, or a folder of logs",
     )
+    add_choice(parser)
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="the result folder")
     parser.add_argument("--filter", metavar="NAME", help="the filter (default: the configured one)")
     parser.add_argument("--config", type=Path, metavar="FILE", help="settings in YAML")
@@ -75,7 +78,9 @@ def run(args: argparse.Namespace) -> int:
 
     overrides = {} if args.filter is None else {"filter": args.filter}
     config = load(args.config, overrides)
-    options = ReplayOptions(args.start, args.end, args.rate, args.sysid, args.smooth)
+    options = ReplayOptions(
+        args.start, args.end, args.rate, args.sysid, args.smooth, choice_of(args)
+    )
     if is_archive(args.log):
         return _archive(args, config, options)
     if args.jobs is not None or args.scheduler is not None:
