@@ -61,23 +61,41 @@ _DECIMALS: Final = np.array([10, 10, 4] + [6] * 6 + [9] * 7 + [6] * 6 + [9] * 15
 _HEAD: Final = "%d,%d,%s,%s,%d,%s,%.9g"
 _DECISION: Final = [_HEAD + 2 * (",%.9g" * m + "," * (3 - m)) + "\n" for m in range(4)]
 """The line of a decision on so many rows; what is not known stays empty."""
+BIAS_SIGMAS: Final = slice(WIDTH, WIDTH + 6)
+"""Where a table has the sigmas of b_g and b_a."""
 _LINES_HELD: Final = 256
 _DEGREES: Final = 180.0 / math.pi
+
+
+def further(layout: Layout) -> dict[str, tuple[slice, slice]]:
+    """Where a table has the values and the sigmas of the states beyond 15."""
+    places, begin = {}, BIAS_SIGMAS.stop
+    for name in EXTRA:
+        if name in layout.blocks:
+            n = BLOCKS[name].stop - BLOCKS[name].start
+            places[name] = (slice(begin, begin + n), slice(begin + n, begin + 2 * n))
+            begin += 2 * n
+    return places
+
+
+def table_of(block: RowBlock, frame: TangentFrame, layout: Layout) -> FloatArray:
+    """A block's estimates as a table (N, 37 + k): described rows, the biases' sigmas, then the further states."""
+    n = block.count
+    rows = np.empty((n, WIDTH))
+    describe(block.x[:n], block.P[:n], frame.r0_e, frame.C_ne, rows)
+    sigmas = layout.sigmas(block.P[:n])
+    parts = [rows, sigmas[:, BLOCKS["b_g"]], sigmas[:, BLOCKS["b_a"]]]
+    for name in further(layout):
+        columns = BLOCKS[name]
+        parts += [block.x[:n, columns.start + 1 : columns.stop + 1], sigmas[:, columns]]
+    return np.hstack(parts)
 
 
 class EstimatesFile:
     """A CSV file of estimates, over the states of a layout."""
 
     def __init__(self, path: Path, layout: Layout) -> None:
-        self._layout = layout
-        self._extra = [name for name in EXTRA if name in layout.blocks]
-        self.file = _open(path, ",".join([ESTIMATES, *(EXTRA[name] for name in self._extra)]))
-
-    def table(self, block: RowBlock, frame: TangentFrame) -> FloatArray:
-        """A block's estimates as a table (N, 37 + k): described rows, the biases' sigmas, then the further states."""
-        rows = np.empty((block.count, WIDTH))
-        describe(block.x[: block.count], block.P[: block.count], frame.r0_e, frame.C_ne, rows)
-        return np.hstack([rows, self._further(block)])
+        self.file = _open(path, ",".join([ESTIMATES, *(EXTRA[name] for name in further(layout))]))
 
     def write(self, t_us: IntArray, table: FloatArray) -> None:
         """Write the rows of a table."""
@@ -92,58 +110,34 @@ class EstimatesFile:
         with _or_say_so(self.file):
             self.file.close()
 
-    def _further(self, block: RowBlock) -> FloatArray:
-        """The columns (N, 6 + k) of the biases' sigmas, and of further states: values, then sigmas, block by block."""
-        n = block.count
-        sigmas = self._layout.sigmas(block.P[:n])
-        parts = [sigmas[:, BLOCKS["b_g"]], sigmas[:, BLOCKS["b_a"]]]
-        for name in self._extra:
-            columns = BLOCKS[name]
-            parts += [block.x[:n, columns.start + 1 : columns.stop + 1], sigmas[:, columns]]
-        return np.hstack(parts)
-
 
 class ResultWriter:
-    """Writes rows and decisions as they come; with `keep`, `table` gives the rows back."""
+    """Writes rows and decisions as they come."""
 
-    def __init__(self, folder: Path, layout: Layout, keep: bool = False) -> None:
+    def __init__(self, folder: Path, layout: Layout) -> None:
+        self._layout = layout
         self._estimates = EstimatesFile(folder / "estimates.csv", layout)
         self._innovations = _open(folder / "innovations.csv", INNOVATIONS)
         self._lines: list[str] = []
-        self._keep = keep
-        self._kept: list[tuple[IntArray, FloatArray]] = []
         self.rows = 0
-        self.bounds_us: tuple[int, int] | None = None
 
     def write_rows(self, block: RowBlock, frame: TangentFrame) -> None:
-        """Write the estimates of a block that lie within the bounds."""
-        t_us = block.t_us[: block.count].copy()
-        table = self._estimates.table(block, frame)
-        if self.bounds_us is not None:
-            inside = (t_us >= self.bounds_us[0]) & (t_us <= self.bounds_us[1])
-            t_us, table = t_us[inside], table[inside]
+        """Write the estimates of a block."""
+        self.write_table(block.t_us[: block.count], table_of(block, frame, self._layout))
+
+    def write_table(self, t_us: IntArray, table: FloatArray) -> None:
+        """Write the rows (N, 37 + k) of `table_of`."""
         self.rows += len(t_us)
-        if self._keep and len(t_us):
-            self._kept.append((t_us, table[:, :WIDTH].copy()))
         self._estimates.write(t_us, table)
 
     def write_decision(self, event: Event) -> None:
         """Write the final decision on a measurement."""
         m = event.measurement
-        if self.bounds_us is not None and not self.bounds_us[0] <= m.t_us <= self.bounds_us[1]:
-            return
         r, sigma = event.innovation.tolist(), event.sigma.tolist()
         head = (m.t_us, m.stamp_us, m.aiding, m.source, event.accepted, event.reason, event.nis)
         self._lines.append(_DECISION[len(r)] % (*head, *r, *sigma))
         if len(self._lines) >= _LINES_HELD:
             self._write_lines()
-
-    def table(self) -> tuple[IntArray, FloatArray]:
-        """All rows written so far as (t_us (N,), rows (N, 31)), where they were kept."""
-        if not self._kept:
-            return np.empty(0, dtype=np.int64), np.empty((0, WIDTH))
-        times, rows = zip(*self._kept, strict=True)
-        return np.concatenate(times), np.concatenate(rows)
 
     def _write_lines(self) -> None:
         if not self._lines:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Protocol
 
@@ -98,14 +99,44 @@ class SensorSource:
         }
 
 
+@dataclass(frozen=True, slots=True)
+class Log:
+    """A log of any kind, to be run as often as one likes.
+
+    `kind` as its content tells, `sysid` the vehicle of a telemetry log (None: the first that sends an IMU), `choice`
+    which of its sources are used. `sensors` are its tables; None for telemetry, which goes through the same intake as
+    live.
+    """
+
+    path: Path
+    kind: str
+    sysid: int | None
+    choice: Choice
+    sensors: SensorLog | None
+
+    def source(self, config: Config) -> Source:
+        """The log as a source, with a configuration."""
+        if self.sensors is None:
+            return TlogSource(self.path, config, self.sysid, self.choice)
+        return SensorSource(self.sensors, config)
+
+
+def open_log(path: Path | str, sysid: int | None = None, choice: Choice = DEFAULT) -> Log:
+    """The log that a path is, by its content, never by its name.
+
+    LogFormatError for what is not a log, or lacks what was chosen.
+    """
+    path = Path(path)
+    kind = kind_of(path)
+    sensors = None if kind == "tlog" else read_sensors(path, kind, choice)
+    return Log(path, kind, sysid, choice, sensors)
+
+
 def source_of(
     log: Path, config: Config, sysid: int | None = None, choice: Choice = DEFAULT
 ) -> Source:
-    """The source that a path is, by its content; LogFormatError for what is not a log, or lacks what was chosen."""
-    kind = kind_of(log)
-    if kind == "tlog":
-        return TlogSource(log, config, sysid, choice)
-    return SensorSource(read_sensors(log, kind, choice), config)
+    """A log with a configuration, as `open_log` finds it."""
+    return open_log(log, sysid, choice).source(config)
 
 
 def read_sensors(log: Path, kind: str, choice: Choice = DEFAULT) -> SensorLog:

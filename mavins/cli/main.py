@@ -31,6 +31,10 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     "export": ("mavins.cli.export", "write a result folder in other formats"),
     "diff": ("mavins.cli.diff", "compare two result folders"),
     "compare": ("mavins.cli.compare", "run several filters on the same samples"),
+    "montecarlo": (
+        "mavins.cli.montecarlo",
+        "fly a scenario many times, and judge the errors of all runs",
+    ),
     "observe": ("mavins.cli.observe", "which states a flight makes observable, and when"),
     "play": ("mavins.cli.play", "send a log's packets into a UDP port at their own pace"),
     "info": ("mavins.cli.info", "show what a log holds"),
@@ -42,6 +46,7 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
 """Name -> (module, one line for the overview)."""
 
 EXTRAS: Final = {
+    "distributed": "dask",
     "mavsdk": "acceptance",
     "matplotlib": "report",
     "plotly": "report",
