@@ -12,6 +12,7 @@ Source: Schweppe (1965); Huber (1964) for rho. Theory: docs/theory/tuning.md.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -108,6 +109,19 @@ def is_same(flight: Flight, other: Flight) -> bool:
     return flight.keys() == other.keys() and all(
         np.array_equal(part.stamps, other[key].stamps) for key, part in flight.items()
     )
+
+
+def lasting(flights: Sequence[Flight], aiding: str) -> float:
+    """How much of an innovation is left in the next of its kind: their correlation, 0 where a model is right."""
+    products, squares = 0.0, 0.0
+    for flight in flights:
+        for (name, _), part in flight.items():
+            if name == aiding and len(part.stamps) > 1:
+                white = np.linalg.solve(np.linalg.cholesky(part.S), part.r[..., None])[..., 0]
+                white = np.clip(white, -ROBUST_SIGMAS, ROBUST_SIGMAS)
+                products += float(np.sum(white[:-1] * white[1:]))
+                squares += float(np.sum(white**2))
+    return products / squares if squares > 0.0 else 0.0
 
 
 def bounds_of(flight: Flight) -> tuple[int, int]:

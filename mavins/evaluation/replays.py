@@ -7,6 +7,8 @@ import os
 import signal
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import cache
 from types import TracebackType
 from typing import Final
 
@@ -14,8 +16,20 @@ from mavins.estimator.settings import Settings
 from mavins.evaluation.likelihood import Flight, between, innovations
 from mavins.evaluation.tape import Tape
 
-Job = tuple[int, Settings, float | None, tuple[int, int] | None]
-"""Which tape, with which settings, the delay of its fixes (None: their own), and which stamps count (None: all)."""
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """Which tape, with which settings and age of its fixes (s), and which stamps count (None: all).
+
+    Of its fixes and headings in the span, every so many-th is fed (`thinning`).
+    """
+
+    tape: int
+    settings: Settings
+    delay: float
+    thinning: tuple[int, int] = (1, 1)
+    span: tuple[int, int] | None = None
+
 
 TAIL_US: Final = 2_000_000
 """A run goes on for so long after the last stamp that counts: a fix may be late."""
@@ -65,17 +79,22 @@ class Replays:
 def _begin(tapes: list[Tape], filter_name: str, aside: bool) -> None:
     global _tapes, _filter
     _tapes, _filter = tapes, filter_name
+    _prepared.cache_clear()
     if aside:
         # Ctrl-C is for the one that started this
         signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
+@cache
+def _prepared(tape: int, thinning: tuple[int, int], span: tuple[int, int] | None) -> Tape:
+    if span is None:
+        return _tapes[tape]
+    every = {"feed_gnss": thinning[0], "feed_heading": thinning[1]}
+    # the start needs its headings
+    return _tapes[tape].until(span[1] + TAIL_US).thinned(every, span[0])
+
+
 def _run(job: Job) -> Flight:
-    k, settings, delay, span = job
-    tape = _tapes[k]
-    if span is not None:
-        tape = tape.until(span[1] + TAIL_US)
-    if delay is not None:
-        tape = tape.delayed(delay)
-    flight = innovations(settings, _filter, tape)
-    return flight if span is None else between(flight, *span)
+    tape = _prepared(job.tape, job.thinning, job.span).delayed(job.delay)
+    flight = innovations(job.settings, _filter, tape)
+    return flight if job.span is None else between(flight, *job.span)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -86,6 +88,19 @@ class Tape:
     def without_changes(self) -> Tape:
         """The same with the settings of the beginning throughout."""
         return self._with([feed for feed in self.feeds if feed[0] != "reconfigure"])
+
+    def thinned(self, every: Mapping[str, int], from_us: int) -> Tape:
+        """The same with every n-th alone of what is fed by a name, from a stamp on."""
+        seen: Counter[str] = Counter()
+        kept = []
+        for feed in self.feeds:
+            name, what = feed
+            if name in every and what.t_us >= from_us:
+                seen[name] += 1
+                if seen[name] % every[name]:
+                    continue
+            kept.append(feed)
+        return self._with(kept)
 
     def delay(self) -> float:
         """The delay (s) that fixes come with, their median; 0 without fixes."""

@@ -8,31 +8,29 @@ Source: Mehra (1970); Gupta and Mehra (1974) for the scores. Theory: docs/theory
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, TypeVar
+from typing import Final
 
 import numpy as np
 from scipy.optimize import OptimizeResult, minimize
 
 from mavins.aiding import gnss_position, gnss_velocity, heading
 from mavins.errors import MavinsError
-from mavins.estimator.settings import Settings
 from mavins.evaluation.likelihood import (
     Flight,
     between,
     bounds_of,
     is_same,
+    lasting,
     log_likelihood,
 )
-from mavins.evaluation.replays import Replays
+from mavins.evaluation.replays import Job, Replays
 from mavins.evaluation.scoring import Scores, scores_of
 from mavins.evaluation.tape import Tape
-from mavins.types import FloatArray, GnssFix, HeadingFix
-
-SettingsT = TypeVar("SettingsT", bound=Settings)
+from mavins.evaluation.tunable import PARAMETERS, Parameter, first_values, opened, put, tuned
+from mavins.types import FloatArray
 
 SETTLE_US: Final = 10_000_000
 """The alignment's errors are not the sensors': measurements count from this long after the first."""
@@ -40,158 +38,65 @@ EDGE_US: Final = 2_000_000
 """At the end, whether a late fix still finds its IMU samples hangs on its delay: the last ones do not count."""
 HELD_OUT: Final = 0.3
 """The last part of each log, which the fit does not see."""
-OPEN: Final = 5.0
-"""While tuning, gates are so many times wider: noises that are set too small must not shut out what would say so."""
 STEP: Final = 0.01
 MAX_STEPS: Final = 20
+FIRST_STEPS: Final = 6
+"""So many steps show whether errors last."""
 ENOUGH: Final = 0.02
 """The search ends where the next step promises less than this of log p."""
 BELIEF: Final = 2.3
 """1-sigma of a weak belief in the value that was there, a factor of ten: what a log says nothing of stays near it."""
 UNKNOWN: Final = 1.0
 """A parameter whose scaled 1-sigma is larger is left as it was."""
-SIGMAS_95: Final = 1.96
-
-
-@dataclass(frozen=True, slots=True)
-class Parameter:
-    """A setting that may be tuned, within `low` and `high`; `aiding` must be in the log for it to show.
-
-    On a logarithmic scale the unit of the search is a factor e, on a linear one 0.1.
-    """
-
-    path: str
-    unit: str
-    low: float
-    high: float
-    aiding: str = ""
-    logarithmic: bool = True
-    walk: bool = False
-
-    def inner(self, value: float) -> float:
-        """The search's own unbounded coordinate: a sine folds it into the bounds."""
-        low, half = self._span()
-        share = (self._scaled(value) - low - half) / half
-        return half * math.asin(min(max(share, -1.0), 1.0))
-
-    def value(self, inner: float) -> float:
-        """What a coordinate stands for."""
-        low, half = self._span()
-        scaled = low + half * (1.0 + math.sin(inner / half))
-        value = math.exp(scaled) if self.logarithmic else 0.1 * scaled
-        return min(max(value, self.low), self.high)
-
-    def spread(self, value: float, sigma: float) -> tuple[float, float]:
-        """The 95 % interval for a 1-sigma of the scaled value."""
-        lower, upper = (self._scaled(value) + s * SIGMAS_95 * sigma for s in (-1.0, 1.0))
-        if self.logarithmic:
-            return math.exp(max(lower, -700.0)), math.exp(min(upper, 700.0))
-        return 0.1 * lower, 0.1 * upper
-
-    def slope(self, inner: float) -> float:
-        """d scaled / d inner."""
-        return math.cos(inner / self._span()[1])
-
-    def is_at_bound(self, value: float) -> bool:
-        """True where the search was stopped by a bound."""
-        low, half = self._span()
-        return min(self._scaled(value) - low, low + 2.0 * half - self._scaled(value)) < 0.02 * half
-
-    def _scaled(self, value: float) -> float:
-        return math.log(value) if self.logarithmic else 10.0 * value
-
-    def _span(self) -> tuple[float, float]:
-        low, high = self._scaled(self.low), self._scaled(self.high)
-        return low, 0.5 * (high - low)
-
-
-PARAMETERS: Final = (
-    Parameter("imu.gyro_noise", "rad/s/sqrt(Hz)", 1e-6, 1.0),
-    Parameter("imu.accel_noise", "m/s^2/sqrt(Hz)", 1e-5, 10.0),
-    Parameter("imu.gyro_bias_walk", "rad/s^2/sqrt(Hz)", 1e-8, 1e-2, walk=True),
-    Parameter("imu.accel_bias_walk", "m/s^3/sqrt(Hz)", 1e-7, 1.0, walk=True),
-    Parameter("gnss.position_sigma", "m", 5e-3, 50.0, gnss_position.NAME),
-    Parameter("gnss.altitude_sigma", "m", 5e-3, 100.0, gnss_position.NAME),
-    Parameter("gnss.velocity_sigma", "m/s", 2e-3, 10.0, gnss_velocity.NAME),
-    Parameter("heading.sigma_deg", "deg", 0.05, 60.0, heading.NAME),
-    Parameter("gnss.delay", "s", -0.5, 0.8, gnss_position.NAME, logarithmic=False),
-)
+LASTING: Final = 0.15
+"""Innovations that are correlated by more than this belong to errors that last longer than from one to the next."""
+FEWEST: Final = 40
+"""So many measurements of a kind are left at least."""
+MOST_ROUNDS: Final = 4
 
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """A parameter before and after, with its 95 % interval."""
+    """A parameter before and after, with its 95 % interval; one that is not `known` from the logs stays as it was."""
 
     parameter: Parameter
     before: float
     after: float
     interval: tuple[float, float]
+    known: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Compared:
+    """log p per measurement, before and after, of so many."""
+
+    before: float
+    after: float
+    count: int
 
 
 @dataclass(frozen=True, slots=True)
 class Tuning:
-    """What was found; `fit` and `held_out` are log p before and after, per measurement, with how many there were."""
+    """What was found, how likely the fitted and the held-out parts are with it, and what it took.
+
+    Every `thinning`-th fix and heading was judged, since errors last so long.
+    """
 
     found: tuple[Found, ...]
-    fit: tuple[float, float, int]
-    held_out: tuple[float, float, int]
-    steps: int
+    fit: Compared
+    held_out: Compared
+    thinning: tuple[int, int]
     replays: int
+
+    @property
+    def values(self) -> dict[str, float]:
+        """What is known now, by dotted path."""
+        return {f.parameter.path: f.after for f in self.found if f.known}
 
     @property
     def accepted(self) -> bool:
         """True where the part of the logs that was not fitted has become likelier too."""
-        return self.held_out[1] > self.held_out[0]
-
-
-def get(settings: Settings, path: str) -> Any:
-    """The setting at a dotted path."""
-    section, name = path.split(".")
-    return getattr(getattr(settings, section), name)
-
-
-def put(settings: SettingsT, values: dict[str, Any]) -> SettingsT:
-    """The settings with others at dotted paths."""
-    for path, value in values.items():
-        section, name = path.split(".")
-        changed = dataclasses.replace(getattr(settings, section), **{name: value})
-        settings = dataclasses.replace(settings, **{section: changed})
-    return settings
-
-
-def tuned(settings: SettingsT, values: dict[str, float]) -> SettingsT:
-    """The settings with tuned values, which hold instead of what sensors report of themselves."""
-    changed: dict[str, Any] = dict(values)
-    if "gnss.position_sigma" in values:
-        changed["gnss.accuracy"] = "configured"
-    if "heading.sigma_deg" in values:
-        changed["heading.accuracy"] = "configured"
-    return put(settings, changed)
-
-
-def opened(settings: SettingsT) -> SettingsT:
-    """The settings with wide gates."""
-    gates = ("gnss.gate", "heading.gate", "magnetometer.gate", "baro.gate")
-    return put(settings, {gate: min(OPEN * get(settings, gate), 100.0) for gate in gates})
-
-
-def first_values(tape: Tape, parameters: Sequence[Parameter]) -> dict[str, float]:
-    """What is in force now: sensors' own accuracies where those are used."""
-    from mavins.estimator.measuring import Measuring
-    from mavins.estimator.quality import noise_of
-
-    settings = tape.settings
-    fixes = [noise_of(what, settings.gnss) for _, what in tape.feeds if isinstance(what, GnssFix)]
-    of_heading = Measuring(settings, ()).heading_sigma
-    yaws = [of_heading(what) for _, what in tape.feeds if isinstance(what, HeadingFix)]
-    now: dict[str, float] = {"gnss.delay": tape.delay()}
-    if fixes:
-        now["gnss.position_sigma"] = float(np.median([noise.h for noise in fixes]))
-        now["gnss.altitude_sigma"] = float(np.median([noise.v for noise in fixes]))
-        now["gnss.velocity_sigma"] = float(np.median([noise.speed for noise in fixes]))
-    if yaws:
-        now["heading.sigma_deg"] = math.degrees(float(np.median(yaws)))
-    return {p.path: float(now.get(p.path, get(settings, p.path))) for p in parameters}
+        return self.held_out.after > self.held_out.before
 
 
 def tune(
@@ -204,41 +109,63 @@ def tune(
     """Tune to the sum over logs; bias walks only with `everything`. MavinsError where a log says nothing."""
     tapes = [tape.without_changes() for tape in tapes]
     with Replays(tapes, filter_name, jobs) as replays:
-        before = replays.run(
-            [(k, opened(tape.settings), None, None) for k, tape in enumerate(tapes)]
+        flights = replays.run(
+            [Job(k, opened(tape.settings), tape.delay()) for k, tape in enumerate(tapes)]
         )
-        for flight in before:
-            if not flight:
-                raise MavinsError(
-                    "a log yields no estimate to tune: see what is wrong with mavins replay"
-                )
-        windows = [_window(flight) for flight in before]
-        seen = {aiding for flight in before for aiding, _ in flight}
+        if not all(flights):
+            raise MavinsError("a log yields no estimate to tune by: see why with mavins replay")
+        seen = {aiding for flight in flights for aiding, _ in flight}
         parameters = [
             p
             for p in PARAMETERS
             if (p.aiding or gnss_position.NAME) in seen and (everything or not p.walk)
         ]
         first = first_values(tapes[0], parameters)
-        search = _Search(replays, tapes, windows, parameters, progress)
-        inner = np.array([p.inner(first[p.path]) for p in parameters])
-        u, sigmas = search.run(inner)
-        values = {p.path: p.value(k) for p, k in zip(parameters, u, strict=True)}
-        rounded = {path: float(f"{value:.4g}") for path, value in values.items()}
-        after = replays.run(
-            [
-                (k, opened(tuned(tape.settings, rounded)), rounded.get("gnss.delay"), None)
-                for k, tape in enumerate(tapes)
-            ]
-        )
-    found = tuple(
-        Found(p, first[p.path], rounded[p.path], p.spread(rounded[p.path], sigma))
-        for p, sigma in zip(parameters, sigmas.tolist(), strict=True)
+        likelihood = Likelihood(replays, tapes, [_window(f) for f in flights], parameters)
+        thinning, last = (1, 1), np.empty(0)
+        for done in range(MOST_ROUNDS):
+            scales = [math.sqrt(thinning[p.thinned]) if p.thinned >= 0 else 1.0 for p in parameters]
+            start = np.array(
+                [p.inner(first[p.path] / s) for p, s in zip(parameters, scales, strict=True)]
+            )
+            likelihood.begin(thinning, start)
+            last, sigmas = climb(likelihood, last if len(last) else start, FIRST_STEPS)
+            progress((1 + done) / (1 + MOST_ROUNDS))
+            wider = next_thinning(likelihood.flights(last), thinning)
+            if wider == thinning or done + 1 == MOST_ROUNDS:
+                break
+            thinning = wider
+        last, sigmas = climb(likelihood, last, MAX_STEPS)
+        progress(1.0)
+        fit, held_out = likelihood.compared(start, last)
+    found = []
+    for p, s, u, sigma in zip(parameters, scales, last, sigmas.tolist(), strict=True):
+        value = p.value(u)
+        low, high = (s * bound for bound in p.interval(value, sigma))
+        known = sigma < UNKNOWN
+        after = float(f"{min(max(s * value, p.low), p.high):.4g}") if known else first[p.path]
+        found.append(Found(p, first[p.path], after, (low, high), known))
+    return Tuning(tuple(found), fit, held_out, thinning, replays.count)
+
+
+def next_thinning(flights: Sequence[Flight], thinning: tuple[int, int]) -> tuple[int, int]:
+    """How many fixes and headings to pass over for what is left to be independent."""
+    left = (
+        max(lasting(flights, gnss_position.NAME), lasting(flights, gnss_velocity.NAME)),
+        lasting(flights, heading.NAME),
     )
-    middles = [_middle(window) for window in windows]
-    fit = _compared(before, after, [(a, m) for (a, _), m in zip(windows, middles, strict=True)])
-    held = _compared(before, after, [(m, b) for (_, b), m in zip(windows, middles, strict=True)])
-    return Tuning(found, fit, held, search.steps, replays.count)
+    counts = [
+        sum(len(part.stamps) for f in flights for (name, _), part in f.items() if name == aiding)
+        for aiding in (gnss_position.NAME, heading.NAME)
+    ]
+    wider = []
+    for correlation, count, now in zip(left, counts, thinning, strict=True):
+        factor = 1
+        if correlation > max(LASTING, 2.0 / math.sqrt(max(count, 1))):
+            wanted = math.ceil(math.log(LASTING) / math.log(min(correlation, 0.95)))
+            factor = max(1, min(max(2, wanted), count // FEWEST))
+        wider.append(now * factor)
+    return wider[0], wider[1]
 
 
 def _window(flight: Flight) -> tuple[int, int]:
@@ -251,10 +178,135 @@ def _middle(window: tuple[int, int]) -> int:
     return round(window[1] - HELD_OUT * (window[1] - window[0]))
 
 
+class Likelihood:
+    """log p of the fitted parts as a function of the parameters' inner coordinates u (n,), with a weak belief."""
+
+    def __init__(
+        self,
+        replays: Replays,
+        tapes: Sequence[Tape],
+        windows: Sequence[tuple[int, int]],
+        parameters: Sequence[Parameter],
+    ) -> None:
+        self._replays = replays
+        self._tapes = tapes
+        self._windows = windows
+        self._parameters = parameters
+        self._thinning = (1, 1)
+        self._believed = np.zeros(len(parameters))
+        self._known: dict[bytes, tuple[float, Scores | None, list[Flight]]] = {}
+
+    def begin(self, thinning: tuple[int, int], believed: FloatArray) -> None:
+        """Judge so many of the fixes and headings from now on; `believed` (n,) is where a log that is mute leaves u."""
+        self._thinning, self._believed = thinning, believed
+        self._known.clear()
+        self._reference: list[Flight] | None = None
+
+    def value(self, u: FloatArray) -> float:
+        """-(log p + log belief)."""
+        return -self._at(u)[0]
+
+    def gradient(self, u: FloatArray) -> FloatArray:
+        """Of `value`."""
+        slope: FloatArray = -self._slopes(u) * self.scores(u).gradient
+        return slope + (u - self._believed) / BELIEF**2
+
+    def information(self, u: FloatArray) -> FloatArray:
+        """What stands for the second derivative of `value`."""
+        slopes = self._slopes(u)
+        known: FloatArray = slopes[:, None] * self.scores(u).information * slopes
+        return known + np.eye(len(u)) / BELIEF**2
+
+    def scores(self, u: FloatArray) -> Scores:
+        """The derivatives of log p by the scaled parameters."""
+        scores = self._at(u)[1]
+        if scores is None:
+            raise MavinsError("the measurements that are judged change from run to run: not tuned")
+        return scores
+
+    def flights(self, u: FloatArray) -> list[Flight]:
+        """The innovations that are fitted."""
+        return self._at(u)[2]
+
+    def compared(self, one: FloatArray, two: FloatArray) -> tuple[Compared, Compared]:
+        """Of the fitted and of the held-out parts: log p per measurement at two points."""
+        jobs = [
+            self._job(k, u, window) for u in (one, two) for k, window in enumerate(self._windows)
+        ]
+        runs = self._replays.run(jobs)
+        n = len(self._windows)
+        both = runs[:n], runs[n:]
+        middles = [_middle(window) for window in self._windows]
+        fit = [(a, m) for (a, _), m in zip(self._windows, middles, strict=True)]
+        held = [(m, b) for (_, b), m in zip(self._windows, middles, strict=True)]
+        return _compared(*both, fit), _compared(*both, held)
+
+    def _slopes(self, u: FloatArray) -> FloatArray:
+        return np.array([p.slope(k) for p, k in zip(self._parameters, u, strict=True)])
+
+    def _at(self, u: FloatArray) -> tuple[float, Scores | None, list[Flight]]:
+        key = u.tobytes()
+        if key not in self._known:
+            self._known[key] = self._evaluate(u)
+        return self._known[key]
+
+    def _job(self, k: int, u: FloatArray, span: tuple[int, int]) -> Job:
+        """Log k under the parameters at u, the delay being what it is said to be."""
+        tape = self._tapes[k]
+        values = {p.path: p.value(at) for p, at in zip(self._parameters, u, strict=True)}
+        delay = values.get("gnss.delay", tape.delay())
+        settings = put(opened(tuned(tape.settings, values)), {"states.gnss_delay": "fixed"})
+        return Job(k, settings, delay, self._thinning, span)
+
+    def _evaluate(self, u: FloatArray) -> tuple[float, Scores | None, list[Flight]]:
+        """All of it at once: the neighbours that give the derivatives run beside the point itself."""
+        points = [u, *(u + STEP * row for row in np.eye(len(u)))]
+        spans = [(window[0], _middle(window)) for window in self._windows]
+        jobs = [self._job(k, point, span) for point in points for k, span in enumerate(spans)]
+        flights = self._replays.run(jobs)
+        n = len(spans)
+        runs = [flights[i : i + n] for i in range(0, len(flights), n)]
+        if self._reference is None:
+            self._reference = runs[0]
+        if not all(
+            is_same(f, r) for run in runs for f, r in zip(run, self._reference, strict=True)
+        ):
+            return -math.inf, None, runs[0]
+        value = sum(map(log_likelihood, runs[0]))
+        value -= 0.5 * float(np.sum(((u - self._believed) / BELIEF) ** 2))
+        return value, scores_of(runs[0], runs[1:], STEP * self._slopes(u)), runs[0]
+
+
+def climb(likelihood: Likelihood, start: FloatArray, steps: int) -> tuple[FloatArray, FloatArray]:
+    """Go up from here; returns where it ended (n,) and the scaled parameters' 1-sigma (n,) there."""
+
+    def look(intermediate_result: OptimizeResult) -> None:
+        u = intermediate_result.x
+        g = likelihood.gradient(u)
+        if 0.5 * g @ np.linalg.solve(likelihood.information(u), g) < ENOUGH:
+            raise StopIteration
+
+    result = minimize(
+        likelihood.value,
+        start,
+        jac=likelihood.gradient,
+        hess=likelihood.information,
+        method="trust-exact",
+        callback=look,
+        options={
+            "initial_trust_radius": 1.0,
+            "max_trust_radius": 2.0,
+            "maxiter": steps,
+            "gtol": 0.0,
+        },
+    )
+    return result.x, likelihood.scores(result.x).sigmas()
+
+
 def _compared(
     before: Sequence[Flight], after: Sequence[Flight], spans: Sequence[tuple[int, int]]
-) -> tuple[float, float, int]:
-    """log p per measurement before and after; a run that has lost measurements has none."""
+) -> Compared:
+    """log p per measurement of two runs; one that has lost measurements has none."""
     cut = [
         [between(f, *span) for f, span in zip(flights, spans, strict=True)]
         for flights in (before, after)
@@ -265,95 +317,4 @@ def _compared(
     most = max(counts)
     sums = [sum(map(log_likelihood, flights)) for flights in cut]
     one, two = (s / most if n == most else -math.inf for s, n in zip(sums, counts, strict=True))
-    return one, two, most
-
-
-class _Search:
-    """The likelihood of the fitted parts as a function of the parameters' inner coordinates."""
-
-    def __init__(
-        self,
-        replays: Replays,
-        tapes: Sequence[Tape],
-        windows: Sequence[tuple[int, int]],
-        parameters: Sequence[Parameter],
-        progress: Callable[[float], None],
-    ) -> None:
-        self._replays = replays
-        self._tapes = tapes
-        self._spans = [(start, _middle((start, end))) for start, end in windows]
-        self._parameters = parameters
-        self._progress = progress
-        self._known: dict[bytes, tuple[float, Scores | None]] = {}
-        self._reference: list[Flight] | None = None
-        self.steps = 0
-
-    def run(self, start: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Climb from here; returns where it ended and the scaled parameters' 1-sigma there."""
-        self._start = start
-        options = {"initial_trust_radius": 1.0, "max_trust_radius": 2.0, "maxiter": MAX_STEPS}
-        result = minimize(
-            lambda u: -self._at(u)[0],
-            start,
-            jac=self._gradient,
-            hess=self._information,
-            method="trust-exact",
-            callback=self._look,
-            options={**options, "gtol": 0.0},
-        )
-        scores = self._at(result.x)[1]
-        assert scores is not None
-        return result.x, scores.sigmas()
-
-    def _look(self, intermediate_result: OptimizeResult) -> None:
-        """After each step: is there anything to be gained?"""
-        self.steps += 1
-        self._progress(min(self.steps / MAX_STEPS, 1.0))
-        u = intermediate_result.x
-        g = self._gradient(u)
-        if 0.5 * g @ np.linalg.solve(self._information(u), g) < ENOUGH:
-            raise StopIteration
-
-    def _slopes(self, u: FloatArray) -> FloatArray:
-        return np.array([p.slope(k) for p, k in zip(self._parameters, u, strict=True)])
-
-    def _gradient(self, u: FloatArray) -> FloatArray:
-        scores = self._at(u)[1]
-        assert scores is not None
-        return -self._slopes(u) * scores.gradient + (u - self._start) / BELIEF**2
-
-    def _information(self, u: FloatArray) -> FloatArray:
-        scores, slopes = self._at(u)[1], self._slopes(u)
-        assert scores is not None
-        known: FloatArray = slopes[:, None] * scores.information * slopes
-        return known + np.eye(len(u)) / BELIEF**2
-
-    def _at(self, u: FloatArray) -> tuple[float, Scores | None]:
-        """log p with the belief, and the derivatives of log p alone by the scaled parameters."""
-        key = u.tobytes()
-        if key not in self._known:
-            self._known[key] = self._evaluate(u)
-        return self._known[key]
-
-    def _evaluate(self, u: FloatArray) -> tuple[float, Scores | None]:
-        points = [u, *(u + STEP * row for row in np.eye(len(u)))]
-        jobs = []
-        for point in points:
-            values = {p.path: p.value(k) for p, k in zip(self._parameters, point, strict=True)}
-            for k, tape in enumerate(self._tapes):
-                settings = opened(tuned(tape.settings, values))
-                settings = put(settings, {"states.gnss_delay": "fixed"})
-                jobs.append((k, settings, values.get("gnss.delay"), self._spans[k]))
-        flights = self._replays.run(jobs)
-        n = len(self._tapes)
-        runs = [flights[i : i + n] for i in range(0, len(flights), n)]
-        if self._reference is None:
-            self._reference = runs[0]
-        for run in runs:
-            if not all(map(is_same, run, self._reference)):
-                return -math.inf, None
-        value = sum(map(log_likelihood, runs[0])) - 0.5 * float(
-            np.sum(((u - self._start) / BELIEF) ** 2)
-        )
-        steps = STEP * self._slopes(u)
-        return value, scores_of(runs[0], runs[1:], steps)
+    return Compared(one, two, most)
