@@ -137,8 +137,12 @@ def analyse(name: str, y: FloatArray, dt: float) -> Axis:
 
 
 def _coefficient(square: float, sigma: float, share: float) -> Coefficient:
-    low, high = (math.sqrt(max(0.0, square + s * SIGMAS_95 * sigma)) for s in (-1.0, 1.0))
-    return Coefficient(math.sqrt(square), low, high, share > 0.5 and low > 0.0)
+    """From its square with a 1-sigma; the interval is a factor, as that of a chi-square variance is."""
+    value, margin = math.sqrt(square), SIGMAS_95 * sigma
+    if share <= 0.5 or square <= margin:
+        return Coefficient(value, 0.0, math.sqrt(square + margin), False)
+    factor = math.exp(0.5 * margin / square)
+    return Coefficient(value, value / factor, value * factor, True)
 
 
 def standing_spell(imu: ImuTable) -> slice:

@@ -1,12 +1,13 @@
 """How likely the measurements of a flight are to a filter: what it expected of each, and what came.
 
-    log p = -1/2 sum (rho(NIS) + log det S + m log 2 pi),   rho(n) = n up to c^2, 2 c sqrt(n) - c^2 above
+    log p = -1/2 sum (rho(NIS) + log det S + m log 2 pi),   rho(n) = n up to c^2, c^2 (1 + log(n / c^2)) above
 
-rho takes an outlier for what it is, but never lets it go: far out it costs as much as its distance, so that neither a
-smaller S nor a shut gate makes a measurement cheap. Every measurement counts, fused or refused; a run that has no
-innovation for one of them has no likelihood. Pseudo-measurements (a standing vehicle's zero velocity) are no data.
+rho gives the density tails of |r|^(-c^2): an outlier weighs no more than one at the bend, but is never for free, since
+with c^2 > m a smaller S costs more there than its determinant gives. Every measurement counts, fused or refused; a run
+that has no innovation for one of them has no likelihood. Pseudo-measurements (a standing vehicle's zero velocity) are
+no data.
 
-Source: Schweppe (1965); Huber (1964) for rho. Theory: docs/theory/tuning.md.
+Source: Schweppe (1965); Huber (1981), chapter 5, for rho. Theory: docs/theory/tuning.md.
 """
 
 from __future__ import annotations
@@ -52,8 +53,8 @@ class Innovations:
         return Innovations(self.stamps[k], self.r[k], self.S[k])
 
     def bend(self) -> float:
-        """c: rho's bend, as a root of a NIS."""
-        return math.sqrt(gate_threshold(ROBUST_SIGMAS, self.r.shape[1]))
+        """c^2, the NIS from which on rho bends."""
+        return gate_threshold(ROBUST_SIGMAS, self.r.shape[1])
 
     def log_likelihoods(self) -> FloatArray:
         """The term (N,) of each; -inf where S is no covariance."""
@@ -65,8 +66,8 @@ class Innovations:
         nis = np.full(n, math.inf)
         solved = np.linalg.solve(self.S[good], self.r[good][..., None])[..., 0]
         nis[good] = np.einsum("ni,ni->n", self.r[good], solved)
-        c = self.bend()
-        rho = np.where(nis <= c * c, nis, 2.0 * c * np.sqrt(nis) - c * c)
+        bend = self.bend()
+        rho = np.where(nis <= bend, nis, bend * (1.0 + np.log(np.maximum(nis, bend) / bend)))
         return np.where(good, -0.5 * (rho + log_det + m * math.log(2.0 * math.pi)), -math.inf)
 
 

@@ -68,7 +68,7 @@ def _of_part(
     inverse = np.linalg.inv(S)
     y = np.einsum("kab,kb->ka", inverse, r)
     nis = np.einsum("ka,ka->k", r, y)
-    w = np.minimum(1.0, part.bend() / np.sqrt(np.maximum(nis, 1e-12)))
+    w = np.minimum(1.0, part.bend() / np.maximum(nis, 1e-12))
     d_r = np.array([(other.r - r) / h for other, h in zip(moved, steps, strict=True)])
     d_S = np.array([(other.S - S) / h for other, h in zip(moved, steps, strict=True)])
     A = np.einsum("kab,ikbc->ikac", inverse, d_S)
