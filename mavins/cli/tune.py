@@ -24,7 +24,7 @@ examples:
   mavins tune monday.tlog tuesday.BIN --config vehicle.yaml --out tuned.yaml --jobs 4
   mavins replay flight.tlog --config tuned.yaml --out result
 
-Each parameter comes with its 95 % interval; one that the logs say too little of stays as it was.
+Each parameter comes with its 95 % interval; one that the logs say nothing of stays as it was.
 Bias walks are held unless --all is given. exit status: 0, or 1 where nothing is to be changed"""
 
 EXIT_KEPT = 1
@@ -105,7 +105,7 @@ def _words(found: Found) -> str:
     low, high = max(found.interval[0], p.low), min(found.interval[1], p.high)
     text = f"{low:.3g} .. {high:.3g} {p.unit}"
     if not found.known:
-        return f"{text}: the logs say too little, kept"
+        return f"{text}, hardly seen in the logs"
     return f"{text}, at its bound" if p.is_at_bound(found.after) else text
 
 
@@ -120,7 +120,6 @@ def yaml_of(result: Tuning, base: Path | None) -> str:
     notes = {
         f.parameter.path: f"{f.interval[0]:.3g} .. {f.interval[1]:.3g} (95 %), was {f.before:.4g}"
         for f in result.found
-        if f.known
     }
     lines = yaml_text.block(merged(data, values), notes)
     return "\n".join([f"# mavins {__version__} tune", *lines]) + "\n"

@@ -47,7 +47,7 @@ ENOUGH: Final = 0.02
 BELIEF: Final = 2.3
 """1-sigma of a weak belief in the value that was there, a factor of ten: what a log says nothing of stays near it."""
 UNKNOWN: Final = 1.0
-"""A parameter whose scaled 1-sigma is larger is left as it was."""
+"""A parameter whose scaled 1-sigma is larger is hardly seen in the logs."""
 LASTING: Final = 0.15
 """Innovations that are correlated by more than this belong to errors that last longer than from one to the next."""
 FEWEST: Final = 40
@@ -57,7 +57,7 @@ MOST_ROUNDS: Final = 4
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """A parameter before and after, with its 95 % interval; one that is not `known` from the logs stays as it was."""
+    """A parameter before and after, with its 95 % interval; one not `known` from the logs stays near `before`."""
 
     parameter: Parameter
     before: float
@@ -90,8 +90,8 @@ class Tuning:
 
     @property
     def values(self) -> dict[str, float]:
-        """What is known now, by dotted path."""
-        return {f.parameter.path: f.after for f in self.found if f.known}
+        """What was found, by dotted path."""
+        return {f.parameter.path: f.after for f in self.found}
 
     @property
     def accepted(self) -> bool:
@@ -142,9 +142,8 @@ def tune(
     for p, s, u, sigma in zip(parameters, scales, last, sigmas.tolist(), strict=True):
         value = p.value(u)
         low, high = (s * bound for bound in p.interval(value, sigma))
-        known = sigma < UNKNOWN
-        after = float(f"{min(max(s * value, p.low), p.high):.4g}") if known else first[p.path]
-        found.append(Found(p, first[p.path], after, (low, high), known))
+        after = float(f"{min(max(s * value, p.low), p.high):.4g}")
+        found.append(Found(p, first[p.path], after, (low, high), sigma < UNKNOWN))
     return Tuning(tuple(found), fit, held_out, thinning, replays.count)
 
 

@@ -99,10 +99,9 @@ def table(result: Tuning, true: dict[str, float]) -> None:
         line = f"  {path:<22}{found.before:>10.4g}{found.after:>10.4g}   {low:.3g} .. {high:.3g}"
         if path in true:
             line += f"   true {true[path]:.4g}, ratio {found.after / true[path]:.2f}"
-        print(line + ("" if found.known else "   kept"))
-    print(
-        f"  held out: {result.held_out.before:.2f} before, {result.held_out.after:.2f} after; thinning {result.thinning}"
-    )
+        print(line + ("" if found.known else "   hardly seen"))
+    before, after = result.held_out.before, result.held_out.after
+    print(f"  held out: {before:.2f} before, {after:.2f} after; thinning {result.thinning}")
 
 
 def recorded(name: str, start: float, end: float) -> None:
