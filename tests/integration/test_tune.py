@@ -33,7 +33,7 @@ FACTORS = (0.2, 5.0, 5.0, 0.2, 0.3, 4.0)
 
 
 def scenario() -> Scenario:
-    """An IMU so noisy that it shows within two minutes."""
+    """An IMU so noisy that it shows within two flights of two minutes."""
     mission = scenario_of("quad_mission")
     gyro = TriadSettings(noise=TRUE["imu.gyro_noise"], bias=0.005, bias_walk=1e-5)
     accel = TriadSettings(noise=TRUE["imu.accel_noise"], bias=0.05, bias_walk=1e-4)
@@ -50,8 +50,8 @@ def scenario() -> Scenario:
 def test_wrong_noises_and_delay_are_found() -> None:
     wrong = {path: f * TRUE[path] for path, f in zip(TRUE, FACTORS, strict=True)}
     config = put(tuned(matched(Config(), scenario()), wrong), {"gnss.delay": 0.0})
-    tape, _ = flight(config, scenario(), 5, 120.0)
-    result = tune([tape.delayed(0.0)], "eskf", False, cores())
+    tapes = [flight(config, scenario(), seed, 120.0)[0].delayed(0.0) for seed in (1, 2)]
+    result = tune(tapes, "eskf", False, cores())
     assert result.accepted
     assert result.thinning == (1, 1)
     found = {f.parameter.path: f for f in result.found}
