@@ -20,8 +20,8 @@ from mavins.evaluation.live import HIL_STATE, LiveTruth
 from mavins.logs.recording import Recording
 from mavins.mavlink.codec import Frames
 from mavins.mavlink.limits import Gate, may_change
-from mavins.mavlink.session import Session
-from mavins.mavlink.signing import Verdict, takes_unsigned
+from mavins.mavlink.session import Session, Surroundings
+from mavins.mavlink.signing import Unsigned, Verdict, takes_unsigned
 from mavins.mavlink.stream_buffer import StreamBuffer
 from mavins.mavlink.vehicle import Vehicle
 from mavins.outcome import summarize
@@ -64,7 +64,10 @@ class Watch:
 
 
 class Service:
-    """Moves datagrams between links and a session until told to stop."""
+    """Moves datagrams between links and a session until told to stop.
+
+    `unsigned` says for each link whose packets are taken without a signature; None: as configured.
+    """
 
     def __init__(
         self,
@@ -77,6 +80,7 @@ class Service:
         signing: Signing | None = None,
         config_path: Path | None = None,
         status_socket: StatusSocket | None = None,
+        unsigned: Sequence[Unsigned | None] = (),
     ) -> None:
         self._config = config
         self._config_path = config_path
@@ -89,25 +93,24 @@ class Service:
         self._watches: dict[int, Watch] = {}
         self._recorder = recording
         self._signing = signing
+        policy = config.signing.unsigned
+        self._unsigned = [given or policy for given in unsigned] or [policy] * len(links)
         self._signers = [] if signing is None else [signing.signer(k) for k in range(len(links))]
         self._unix_offset_us = time.time_ns() // 1000 - time.monotonic_ns() // 1000
         self._started = time.monotonic()
         self._cpu_started = time.process_time()
         self._gate = Gate(config.limits, self._now_us())
         self.session = Session(
-            config.mavlink,
-            config.streams,
-            config.sources,
+            config,
             self._make_estimator,
-            self._may_change,
-            self._recorder,
-            self._transmit,
-            None if signing is None else self._verify,
-            None if signing is None else self._seal,
-            self._make_store,
-            config.monitor,
-            config.autopilot_output,
-            config.asking,
+            Surroundings(
+                self._may_change,
+                recording,
+                self._transmit,
+                None if signing is None else self._verify,
+                None if signing is None else self._seal,
+                self._make_store,
+            ),
         )
         for address in gcs:
             self.session.add_peer(address)
@@ -178,12 +181,12 @@ class Service:
             if not link.is_stream:
                 if self._gate.admits(data, address, host, now_us):
                     self._take(data, address, now_us)
-            elif data:
+            elif not data:
+                self._hang_up(address, now_us)
+            elif self._gate.admits_piece(data, address, now_us):
                 buffer = self._buffers.setdefault(address, StreamBuffer())
                 if packets := buffer.push(data, now_us):
                     self._take(packets, address, now_us)
-            else:
-                self._hang_up(address, now_us)
 
     def _hang_up(self, address: Address, now_us: int) -> None:
         """A stream ended: what it left is all that there will be."""
@@ -209,7 +212,8 @@ class Service:
     def _verify(self, frames: Frames, address: Hashable) -> Verdict:
         """Which packets may come in, by their signatures."""
         assert self._signing is not None
-        takes = takes_unsigned(self._config.signing.unsigned, self._may_change(address))
+        assert isinstance(address, tuple)
+        takes = takes_unsigned(self._unsigned[address[0]], self._may_change(address))
         return self._signing.verifier.check(frames, takes)
 
     def _seal(self, packet: bytes, address: Hashable) -> bytes:

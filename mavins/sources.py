@@ -2,24 +2,31 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final, Protocol
 
 from mavins.config import Config
+from mavins.errors import LogFormatError
 from mavins.estimator.estimator import Estimator
 from mavins.estimator.feed import Feed
 from mavins.evaluation.tape import Tape
 from mavins.logs.content import kind_of
-from mavins.logs.csv_folder import read_csv_folder
 from mavins.logs.feeding import feed_log, settled
 from mavins.logs.sensor_log import DEFAULT, Choice, SensorLog
 from mavins.logs.truth import Truth
 from mavins.outcome import outcome_of
 from mavins.tlog_source import TlogSource
 
-READERS: Final[dict[str, Callable[[Path, Choice], SensorLog]]] = {"csv_folder": read_csv_folder}
-"""Kind of a log -> what reads it. A reader that needs an extra imports it when it is called."""
+READERS: Final = {
+    "csv_folder": "mavins.logs.csv_folder:read_csv_folder",
+    "dataflash": "mavins.logs.dataflash:read_dataflash",
+    "euroc": "mavins.logs.euroc:read_euroc",
+    "kf_gins": "mavins.logs.kf_gins:read_kf_gins",
+    "ulog": "mavins.logs.ulog:read_ulog",
+}
+"""Kind of a log -> what reads it, as module:function; imported when it is needed, for some need an extra."""
 
 
 class Source(Protocol):
@@ -47,6 +54,10 @@ class SensorSource:
     """A log of sensors: everything but telemetry."""
 
     def __init__(self, log: SensorLog, config: Config) -> None:
+        if not log.gnss:
+            raise LogFormatError(
+                "the log has no GNSS fixes: nowhere to start from; see what it holds with: mavins info LOG"
+            )
         self._log = log
         self.config = settled(config, log)
         self.seconds = log.seconds
@@ -77,7 +88,14 @@ def source_of(
     kind = kind_of(log)
     if kind == "tlog":
         return TlogSource(log, config, sysid, choice)
-    return SensorSource(READERS[kind](log, choice), config)
+    return SensorSource(read_sensors(log, kind, choice), config)
+
+
+def read_sensors(log: Path, kind: str, choice: Choice = DEFAULT) -> SensorLog:
+    """The sensors of a log of one of the kinds in `READERS`."""
+    module, _, function = READERS[kind].partition(":")
+    reader: Callable[[Path, Choice], SensorLog] = getattr(importlib.import_module(module), function)
+    return reader(log, choice)
 
 
 def judge_of(source: Source) -> Truth | None:
@@ -93,9 +111,10 @@ def tape_of(
     config: Config,
     sysid: int | None = None,
     progress: Callable[[float], None] = lambda _: None,
+    choice: Choice = DEFAULT,
 ) -> tuple[Tape, Truth | None]:
     """What an estimator would be fed from a log, with the settings that go with it, and what to judge by."""
-    source = source_of(log, config, sysid)
+    source = source_of(log, config, sysid, choice)
     tape = Tape(source.config)
     source.feed(tape, progress)
     return tape, judge_of(source)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast, get_args
 
 import numpy as np
 
@@ -14,10 +15,9 @@ from mavins.config import Config
 from mavins.errors import LogFormatError
 from mavins.estimator.estimator import Estimator
 from mavins.estimator.feed import Feed
-from mavins.logs.sensor_log import Choice
-from mavins.logs.tlog import read_tlog
-from mavins.logs.truth import Truth, truth_of
-from mavins.mavlink.asking import SPOKEN
+from mavins.logs.sensor_log import DEFAULT, Choice, chosen
+from mavins.logs.tlog import Tlog
+from mavins.logs.truth import Truth
 from mavins.mavlink.codec import IMU_KINDS, Frames, OriginRequest, decode
 from mavins.mavlink.commands import (
     COMMAND_INT,
@@ -27,82 +27,85 @@ from mavins.mavlink.commands import (
     carry_out,
     keep_parameters,
 )
-from mavins.mavlink.identity import identity_for
 from mavins.mavlink.intake import RELEVANT, Intake
 from mavins.mavlink.parameters import PARAM_SET, set_again
 from mavins.mavlink.peers import Identity
 from mavins.mavlink.requests import SET_GPS_GLOBAL_ORIGIN, decode_packet, is_for
-from mavins.mavlink.settings import SessionSettings
+from mavins.mavlink.sources import GnssSource
 from mavins.outcome import summarize
 from mavins.parameters import ConfigStore
+from mavins.tlog_survey import Survey
 from mavins.types import Origin
 
 CHANGES = np.array([SET_GPS_GLOBAL_ORIGIN, COMMAND_INT, COMMAND_LONG, PARAM_SET])
 """What others may have asked of us, which a recording holds only where it was carried out."""
+RECEIVERS = {"1": "gps_raw_int", "2": "gps2_raw"}
+"""The number of a receiver -> what speaks of it."""
 CHUNK = 20_000
 """Packets between two reports of progress."""
 
 
-def vehicle_of(frames: Frames, wanted: int | None = None) -> int:
-    """The `wanted` sysid if it sends an IMU, or the first that does; LogFormatError if there is none."""
-    senders = frames.sysid[np.isin(frames.msgid, list(IMU_KINDS))]
-    if not len(senders):
-        raise LogFormatError(
-            "the log has no IMU messages (HIGHRES_IMU, SCALED_IMU, RAW_IMU): "
-            "nothing to estimate from; see what it holds with: mavins info LOG"
-        )
-    if wanted is not None and wanted not in senders:
-        have = ", ".join(str(sysid) for sysid in np.unique(senders).tolist())
-        raise LogFormatError(f"vehicle {wanted} sends no IMU messages in this log; {have} does")
-    return int(senders[0]) if wanted is None else wanted
+def imu_of(survey: Survey, wanted: str | None) -> str | None:
+    """The IMU message that is asked for; LogFormatError where the vehicle does not send it."""
+    if wanted is None:
+        return None
+    names = sorted(survey.imu_messages[survey.check()])
+    return chosen("IMU message", wanted.upper(), names, "")
+
+
+def without_others(frames: Frames, sysid: int, imu: str) -> Frames:
+    """The packets without those of a vehicle's other IMU messages."""
+    others = [msgid for msgid, name in IMU_KINDS.items() if name != imu]
+    return frames.select(~((frames.sysid == sysid) & np.isin(frames.msgid, others)))
+
+
+def with_gnss(config: Config, wanted: str | None) -> Config:
+    """The configuration with the `wanted` GNSS message; LogFormatError if none is called so."""
+    if wanted is None:
+        return config
+    names = get_args(GnssSource)
+    name = chosen("GNSS message", RECEIVERS.get(wanted, wanted.lower()), names, "")
+    sources = replace(config.sources, gnss=cast(GnssSource, name))
+    return replace(config, sources=sources)
 
 
 class TlogSource:
     """One vehicle of a telemetry log."""
 
     def __init__(
-        self, log: Path, config: Config, sysid: int | None = None, choice: Choice | None = None
+        self, log: Path, config: Config, sysid: int | None = None, choice: Choice = DEFAULT
     ) -> None:
-        self._frames = frames = read_tlog(log)
-        self._sysid = vehicle_of(frames, sysid)
-        self.config = config
-        self.seconds = (int(frames.t_us[-1]) - int(frames.t_us[0])) * 1e-6
-        self.damage = {
-            name: getattr(frames.damage, name)
-            for name in ("bad_crc", "unknown", "skipped_bytes", "truncated")
-        }
-        self.truth = truth_of(frames, self._sysid)
+        self._blocks = Tlog(log)
+        self._survey = survey = Survey(config.mavlink, sysid)
+        for frames in self._blocks:
+            survey.see(frames)
+        self._sysid = survey.check()
+        self._imu = imu_of(survey, choice.imu)
+        self.config = with_gnss(config, choice.gnss)
+        if choice.reference is not None:
+            raise LogFormatError("telemetry holds no references to choose from: --reference")
+        first_us, last_us = survey.t_us or (0, 0)
+        self.seconds = (last_us - first_us) * 1e-6
+        self.damage = dict(survey.damage)
+        self.truth = survey.truth
         self.reference: Truth | None = None
 
     def feed(self, estimator: Feed, progress: Callable[[float], None]) -> None:
         """The vehicle's packets through an intake."""
-        sysid = self._sysid
-        self._intake = Intake(estimator, self.config.sources)
-        store = ConfigStore(self.config, partial(tune, self._intake), keep=lambda config: "")
-        who = our_identity(self._frames, sysid, self.config.mavlink)
-        _feed(self._intake, store, self._frames, sysid, who, progress)
-        if self._intake.imu.chosen is None:
-            raise LogFormatError(f"the log has no usable IMU messages of vehicle {sysid}")
+        self._intake = intake = Intake(estimator, self.config.sources)
+        store = ConfigStore(self.config, partial(tune, intake), keep=lambda config: "")
+        first_us, last_us = self._survey.t_us or (0, 0)
+        for frames in self._blocks:
+            used = frames if self._imu is None else without_others(frames, self._sysid, self._imu)
+            for t_us in _feed(intake, store, used, self._sysid, self._survey.identity):
+                progress((t_us - first_us) / max(1, last_us - first_us))
+        progress(1.0)
+        if intake.imu.chosen is None:
+            raise LogFormatError(f"the log has no usable IMU messages of vehicle {self._sysid}")
 
     def summary(self, estimator: Estimator) -> dict[str, Any]:
         """What the intake saw, and what the estimator made of it."""
         return {"sysid": self._sysid, **summarize(estimator, self._intake)}
-
-
-def our_identity(frames: Frames, sysid: int, settings: SessionSettings) -> Identity | None:
-    """Under which ids a live session, seeing these packets, speaks about a vehicle; None for one without an IMU."""
-    imu_at = np.flatnonzero(np.isin(frames.msgid, list(IMU_KINDS)))
-    vehicles, first = np.unique(frames.sysid[imu_at], return_index=True)
-    ours: dict[int, Identity] = {}
-    for k in np.argsort(first).tolist():
-        vehicle = int(vehicles[k])
-        taken = {who.sysid for who in ours.values()}
-        if vehicle not in taken or settings.persona == "companion":
-            before = slice(imu_at[first[k]] + 1)
-            told = ~np.isin(frames.msgid[before], SPOKEN)
-            seen = set(frames.sysid[before][told].tolist())
-            ours[vehicle] = identity_for(vehicle, settings, seen, taken)
-    return ours.get(sysid)
 
 
 def tune(intake: Intake, config: Config) -> None:
@@ -116,9 +119,8 @@ def _feed(
     frames: Frames,
     sysid: int,
     who: Identity | None,
-    progress: Callable[[float], None],
-) -> None:
-    """All of a vehicle's packets, and between them what others asked of us, who speak as `who`."""
+) -> Iterator[int]:
+    """All of a vehicle's packets, and between them what others asked of us, who speak as `who`; gives how far it is."""
     relevant = (frames.sysid == sysid) & np.isin(frames.msgid, RELEVANT)
     if who is not None:
         relevant &= (frames.sysid != who.sysid) | (frames.compid != who.compid)
@@ -133,7 +135,7 @@ def _feed(
             intake.take(part)
         elif who is not None:
             _change(intake.estimator, store, part, who)
-        progress(end / len(chosen))
+        yield int(part.t_us[-1])
 
 
 def _change(estimator: Feed, store: ConfigStore, frames: Frames, who: Identity) -> None:

@@ -124,7 +124,7 @@ def _fly(filter_name: str, report: Report) -> None:
     """Four seconds of packets: 20 Hz IMU, 5 Hz late fixes, heading, truth; with a rewind and a late sample."""
     config = Config()
     estimator = Estimator(config, filter_name, Outputs(20_000, _describe))
-    session = Session(config.mavlink, config.streams, config.sources, lambda sysid: estimator)
+    session = Session(config, lambda sysid: estimator)
     truth = LiveTruth()
     session.add_peer("warm-up")
     stage = ""

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from mavins.cli.choosing import add_choice, choice_of
 from mavins.errors import ConfigError
 from mavins.filters import REGISTRY
 
@@ -60,6 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--sysid", type=int, metavar="N", help="the vehicle of a log (default: the first)"
     )
+    add_choice(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -87,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
         if is_log(args.source):
             from mavins.sources import tape_of
 
-            tape, truth = tape_of(Path(args.source), config, args.sysid)
+            tape, truth = tape_of(Path(args.source), config, args.sysid, choice=choice_of(args))
             flights = [(tape.settings, tape, truth)]
             results = run_all(filters, flights, bounds_us)
             count = 1

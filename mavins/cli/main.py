@@ -43,7 +43,12 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
 }
 """Name -> (module, one line for the overview)."""
 
-EXTRAS: Final = {"mavsdk": "acceptance", "matplotlib": "report"}
+EXTRAS: Final = {
+    "mavsdk": "acceptance",
+    "matplotlib": "report",
+    "pyulog": "logs",
+    "zstandard": "logs",
+}
 """Modules that come with an optional extra: import name -> the extra's name."""
 
 EXIT_OK: Final = 0

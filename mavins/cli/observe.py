@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from mavins.cli.choosing import add_choice, choice_of
 from mavins.cli.compare import is_log
 from mavins.errors import ConfigError
 
@@ -57,6 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="AIDINGS",
         help="comma-separated aidings to leave out, such as heading",
     )
+    add_choice(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -117,7 +119,7 @@ def course_of(args: argparse.Namespace, config: Config) -> tuple[Settings, Cours
         from mavins.evaluation.course import estimated
         from mavins.sources import tape_of
 
-        tape, _ = tape_of(Path(args.source), config)
+        tape, _ = tape_of(Path(args.source), config, choice=choice_of(args))
         course = estimated(tape)
         return tape.settings, course if args.duration is None else course.until(args.duration)
     from mavins.examples.scenarios import course as true_course

@@ -7,6 +7,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+from mavins.cli.choosing import LOG_HELP, add_choice, choice_of
 from mavins.cli.progress import progress_bar
 from mavins.errors import ConfigError
 
@@ -21,6 +22,7 @@ examples:
   mavins replay flight.tlog --out result --config flight.yaml --rate 0
   mavins replay flight.tlog --out result --smooth
   mavins replay flight/ --out result    a folder with imu.csv, gnss.csv, mag.csv, ... (.xz, .gz)
+  mavins replay flight.ulg --out result --imu 1 --gnss sensor_gps.1
 
 writes: OUT/<filter>/estimates.csv, innovations.csv, config.yaml and OUT/summary.json;
 with --smooth also OUT/<filter>/smoothed.csv"""
@@ -32,8 +34,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "log",
         type=Path,
         metavar="LOG",
-        help="a .tlog, also in .gz or .xz, or a folder of CSV files",
+        help=LOG_HELP,
     )
+    add_choice(parser)
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="the result folder")
     parser.add_argument("--filter", metavar="NAME", help="the filter (default: the configured one)")
     parser.add_argument("--config", type=Path, metavar="FILE", help="settings in YAML")
@@ -65,7 +68,9 @@ def run(args: argparse.Namespace) -> int:
 
     overrides = {} if args.filter is None else {"filter": args.filter}
     config = load(args.config, overrides)
-    options = ReplayOptions(args.start, args.end, args.rate, args.sysid, args.smooth)
+    options = ReplayOptions(
+        args.start, args.end, args.rate, args.sysid, args.smooth, choice_of(args)
+    )
     with progress_bar(f"replay {args.log.name}", 1.0, quiet=args.verbosity < 0) as report:
         summary = replay(args.log, args.out, config, options, report)
     if args.verbosity >= 0:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from mavins.cli import record, signing
+from mavins.transports.base import Admits, everyone
 
 if TYPE_CHECKING:
     from mavins.service import Address
@@ -115,6 +116,7 @@ def run(args: argparse.Namespace) -> int:
     config = load(args.config, _overrides(args))
 
     from mavins.cli.status import make_renderer
+    from mavins.mavlink.limits import AllowList, networks
     from mavins.service import Service, check_outputs
     from mavins.transports.sockets import resolve
     from mavins.warmup import compile_all
@@ -135,7 +137,7 @@ def run(args: argparse.Namespace) -> int:
     renderer = make_renderer("off" if quiet and args.status == "auto" else args.status)
     before = {n: signal.signal(n, lambda n, _: asked.append(n)) for n in STOP_SIGNALS}
     try:
-        links = _open(urls, say)
+        links = _open(urls, say, AllowList(networks(config.limits.allow)).__contains__)
         service = Service(
             config,
             links,
@@ -146,6 +148,7 @@ def run(args: argparse.Namespace) -> int:
             signing.signing_of(args),
             args.config,
             _status_socket(say),
+            [url.unsigned for url in urls],
         )
         for link in links:
             print(link.announcement, flush=True)
@@ -208,14 +211,14 @@ def _with_stations(
     return urls + alone, stations
 
 
-def _open(urls: Sequence[LinkUrl], say: Say) -> list[Link]:
+def _open(urls: Sequence[LinkUrl], say: Say, admits: Admits = everyone) -> list[Link]:
     """Open all links, or none."""
     from mavins.transports.links import open_link
 
     links: list[Link] = []
     with contextlib.ExitStack() as opened:
         for url in urls:
-            links.append(open_link(url, say))
+            links.append(open_link(url, say, admits))
             opened.callback(links[-1].close)
         opened.pop_all()
     return links

@@ -21,7 +21,9 @@ SettingsT = TypeVar("SettingsT", bound=Settings)
 
 def settled(settings: SettingsT, log: SensorLog) -> SettingsT:
     """The settings with what is `auto` decided by what the log holds, the magnetometer's calibration included."""
-    delay = 0.0 if settings.gnss.delay == "auto" else settings.gnss.delay
+    delay = settings.gnss.delay
+    if delay == "auto":
+        delay = log.gnss_delay or 0.0
     return replace(
         settings,
         gnss=replace(settings.gnss, delay=delay),

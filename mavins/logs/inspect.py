@@ -141,6 +141,18 @@ def choose_system(frames: Frames, wanted: int | None = None) -> int:
     return vehicles[0]
 
 
+def rate_and_gaps(t_us: IntArray) -> tuple[float, tuple[Gap, ...]]:
+    """The rate in Hz by stamps (N,), and the holes between them."""
+    intervals = np.diff(t_us)
+    forward = intervals[intervals > 0]
+    median = float(np.median(forward)) if len(forward) else 0.0
+    hole = intervals > GAP_FACTOR * median
+    # the median would mislead where stamps alternate, as ArduPilot's 2.5 and 5 ms do
+    spacing = float(np.mean(forward[forward <= GAP_FACTOR * median])) if median else 0.0
+    gaps = (Gap(int(t_us[k]), float(intervals[k]) * 1e-6) for k in np.flatnonzero(hole).tolist())
+    return 1e6 / spacing if spacing else 0.0, tuple(gaps)
+
+
 def _messages(frames: Frames) -> tuple[MessageCount, ...]:
     key = (frames.sysid << 8 | frames.compid) << 24 | frames.msgid
     order = np.argsort(key, kind="stable")
@@ -177,12 +189,7 @@ def _vehicle(frames: Frames, sysid: int) -> VehicleReport | None:
     t_us = times.t_us[times.keep]
     if not len(t_us):
         return None
-    intervals = np.diff(t_us)
-    forward = intervals[intervals > 0]
-    median = float(np.median(forward)) if len(forward) else 0.0
-    hole = intervals > GAP_FACTOR * median
-    # the median would mislead where stamps alternate, as ArduPilot's 2.5 and 5 ms do
-    spacing = float(np.mean(forward[forward <= GAP_FACTOR * median])) if median else 0.0
+    rate, gaps = rate_and_gaps(t_us)
     vehicle_type, autopilot = _heartbeat(frames, sysid, compid)
     sources = resolve(
         SourceSettings(),
@@ -200,12 +207,10 @@ def _vehicle(frames: Frames, sysid: int) -> VehicleReport | None:
         vehicle_type=vehicle_type,
         imu=kind,
         imu_id=imu_id,
-        imu_rate=1e6 / spacing if spacing else 0.0,
+        imu_rate=rate,
         imu_count=len(t_us),
         t_us=(int(t_us[0]), int(t_us[-1])),
-        gaps=tuple(
-            Gap(int(t_us[k]), float(intervals[k]) * 1e-6) for k in np.flatnonzero(hole).tolist()
-        ),
+        gaps=gaps,
         reboots=kinds.count("reboot"),
         jumps=kinds.count("jump"),
         wild_stamps=times.wild_stamps + times.zero_stamps,

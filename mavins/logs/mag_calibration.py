@@ -29,8 +29,8 @@ from mavins.nav.so3 import (
 from mavins.types import FloatArray, IntArray
 
 _PERIOD_US: Final = 200_000
-_APART: Final = 10
-"""Readings are thinned to this period, and compared with the one so many periods later: over 2 s gyros are good."""
+_APART_US: Final = 2_000_000
+"""Readings are thinned to the first, and compared with the one that comes so much later: over 2 s gyros are good."""
 _NOISE: Final = 0.02
 """Turns below so many rad say nothing about the hard iron, which is then taken for none."""
 _CLEARLY: Final = 0.5
@@ -74,11 +74,13 @@ def calibrate(
     mag_us, field = mag_us[inside], field[inside]
     chosen = np.unique(mag_us // _PERIOD_US, return_index=True)[1]
     mag_us, field = mag_us[chosen], field[chosen]
-    near = np.flatnonzero(mag_us[_APART:] - mag_us[:-_APART] < 2 * _APART * _PERIOD_US)
+    spacing = float(np.median(np.diff(mag_us))) if len(mag_us) > 1 else _PERIOD_US
+    apart = max(1, round(_APART_US / spacing))
+    near = np.flatnonzero(mag_us[apart:] - mag_us[:-apart] < 2 * _APART_US)
     attitudes = turns(t_us, gyro_b, mag_us)
     C = np.array([quat_to_dcm(q) for q in attitudes]).reshape(-1, 3, 3)
-    turn = np.transpose(C[near + _APART], (0, 2, 1)) @ C[near]  # C^T of the docstring
-    before, after = field[near], field[near + _APART]
+    turn = np.transpose(C[near + apart], (0, 2, 1)) @ C[near]  # C^T of the docstring
+    before, after = field[near], field[near + apart]
     mountings = _mountings() if rotation is None else [quat_to_dcm(euler_to_quat(*rotation))]
     fits = [_hard_iron(R.T @ turn @ R, before, after) for R in mountings]
     best = min(range(len(fits)), key=lambda i: fits[i].residual)

@@ -1,26 +1,31 @@
 """Telemetry logs: of each packet 8 bytes of big-endian microseconds, then the packet as it was
 received.
 
-Mission Planner, QGroundControl and pymavlink write and read the same. A .gz or .xz around it is
-told by content.
+Mission Planner, QGroundControl and pymavlink write and read the same. What packs it is told by
+content (mavins/logs/packed.py).
 """
 
 from __future__ import annotations
 
 import contextlib
-import gzip
-import io
-import lzma
 import os
-import zlib
+from collections.abc import Iterator
+from dataclasses import astuple
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Final
 
+import numpy as np
+
 from mavins.errors import LogFormatError, OutputError
-from mavins.mavlink.codec.framing import STAMP_LENGTH, Frames, scan_tlog
+from mavins.logs.packed import open_packed
+from mavins.mavlink.codec.framing import STAMP_LENGTH, Damage, Frames, scan_tlog
 
 _BUFFER: Final = 1 << 16
+_LOOKED_AHEAD: Final = 2048
+"""More than three of the longest packets."""
+_LONGEST_GARBAGE: Final = 1 << 20
+"""Bytes that are kept in the hope of a packet that begins in them."""
 _OTHER_FORMATS: Final = {
     b"ULog\x01\x12\x35": "a PX4 .ulg",
     b"\xa3\x95\x80": "an ArduPilot dataflash .bin",
@@ -106,39 +111,91 @@ class TlogWriter:
 
 
 def read_tlog(path: str | Path) -> Frames:
-    """All intact packets of a .tlog, plain or in .gz or .xz; LogFormatError where there is none."""
-    try:
-        data = Path(path).read_bytes()
-    except OSError as error:
-        raise LogFormatError(f"cannot read {path}: {error.strerror}") from error
-    if not data:
-        raise LogFormatError(f"{path} is empty")
-    data = _decompressed(data, path)
-    for magic, name in _OTHER_FORMATS.items():
-        if data.startswith(magic):
-            raise LogFormatError(f"{path} is {name}, not a MAVLink .tlog")
+    """All intact packets of a .tlog, also packed; LogFormatError where there is none."""
+    with open_packed(path) as stream:
+        data = stream.read()
     frames = scan_tlog(data)
-    # a few packets may turn up in any large file by chance
-    if len(frames) == 0 or frames.damage.skipped_bytes > 0.9 * len(data):
-        raise LogFormatError(f"{path} is not a MAVLink .tlog: no packets with stamps in it")
+    _check(path, data, len(data), len(frames), frames.damage.skipped_bytes)
     return frames
 
 
-def _decompressed(data: bytes, path: str | Path) -> bytes:
-    """What .gz or .xz wraps; of a file that was cut off, all up to the cut."""
-    if data.startswith(b"\x1f\x8b"):
-        stream: io.BufferedIOBase = gzip.GzipFile(fileobj=io.BytesIO(data))
-    elif data.startswith(b"\xfd7zXZ\x00"):
-        stream = lzma.LZMAFile(io.BytesIO(data))  # noqa: SIM115 (nothing to close)
-    else:
-        return data
-    parts = []
-    try:
-        while part := stream.read(_BUFFER):
-            parts.append(part)
-    except (OSError, EOFError, lzma.LZMAError, zlib.error) as error:
-        if not parts:
-            raise LogFormatError(f"{path} is damaged: {error}") from error
-    if not parts:
-        raise LogFormatError(f"{path} is empty")
-    return b"".join(parts)
+class Tlog:
+    """The intact packets of a .tlog, block by block, as often as it is gone through.
+
+    What it gives, put together, is what `read_tlog` gives. A log that is not large stays in memory; of another there
+    is one block at a time. LogFormatError where there are no packets.
+    """
+
+    def __init__(self, path: Path, block_size: int = 1 << 23, keep: int = 1 << 25) -> None:
+        self._path = path
+        self._block_size = block_size
+        self._keep = keep
+        self._kept: list[Frames] | None = None
+
+    def __iter__(self) -> Iterator[Frames]:
+        if self._kept is not None:
+            yield from self._kept
+            return
+        kept: list[Frames] = []
+        size = 0
+        for frames in self._read():
+            size += frames.data.size
+            if size <= self._keep:
+                kept.append(frames)
+            else:
+                kept.clear()
+            yield frames
+        if size <= self._keep:
+            self._kept = kept
+
+    def _read(self) -> Iterator[Frames]:
+        packets = size = skipped = 0
+        rest, head, last_us = b"", b"", 0
+        with open_packed(self._path) as stream:
+            is_last = False
+            while not is_last:
+                piece = stream.read(self._block_size)
+                is_last = len(piece) < self._block_size
+                head = head or piece[:16]
+                frames, rest = _settled(rest + piece, last_us, is_last)
+                size += len(piece)
+                packets += len(frames)
+                skipped += frames.damage.skipped_bytes
+                if len(frames):
+                    last_us = int(frames.t_us[-1])
+                if len(frames) or frames.damage:
+                    yield frames
+        _check(self._path, head, size, packets, skipped)
+
+
+def _settled(data: bytes, last_us: int, is_last: bool) -> tuple[Frames, bytes]:
+    """The packets of a piece of a log that stay what they are, whatever follows it, and the rest of the piece.
+
+    What becomes of a packet is decided by fewer than `_LOOKED_AHEAD` bytes behind its beginning.
+    """
+    frames = scan_tlog(data)
+    if len(frames) and frames.start[0] < STAMP_LENGTH:
+        # a stamp that was cut off is that of the packet before, which is in the piece before
+        frames.t_us[np.cumsum(frames.t_us) == 0] = last_us
+    if is_last:
+        return frames, b""
+    sure = int(frames.start.searchsorted(len(data) - _LOOKED_AHEAD))
+    if sure == 0:
+        # of a long piece without a packet nothing but its end can become one
+        cut = len(data) - 2 * _LOOKED_AHEAD if len(data) > _LONGEST_GARBAGE else 0
+        lost = Damage(skipped_bytes=cut)
+        return Frames(frames.data, frames.table[:, :0].copy(), lost), data[cut:]
+    end = int(frames.end[sure - 1])
+    rest = data[end:]
+    after = scan_tlog(rest).damage
+    settled = Damage(*(a - b for a, b in zip(astuple(frames.damage), astuple(after), strict=True)))
+    return Frames(frames.data, frames.table[:, :sure].copy(), settled), rest
+
+
+def _check(path: str | Path, head: bytes, size: int, packets: int, skipped: int) -> None:
+    for magic, name in _OTHER_FORMATS.items():
+        if head.startswith(magic):
+            raise LogFormatError(f"{path} is {name}, not a MAVLink .tlog")
+    # a few packets may turn up in any large file by chance
+    if packets == 0 or skipped > 0.9 * size:
+        raise LogFormatError(f"{path} is not a MAVLink .tlog: no packets with stamps in it")

@@ -6,6 +6,7 @@ without a stamp, which belongs to the RAW_IMU of that vehicle just before it in 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -48,6 +49,18 @@ class Truth:
 def truth_of(frames: Frames, sysid: int) -> Truth | None:
     """The truth of vehicle `sysid`, or None where the log carries none."""
     return _hil_state(frames, sysid) or _sim_state(frames, sysid)
+
+
+def joined(parts: Sequence[Truth]) -> Truth | None:
+    """Parts of a truth, one after the other, as one; None for none."""
+    if len(parts) < 2:
+        return next(iter(parts), None)
+    t_us, first = np.unique(np.concatenate([part.t_us for part in parts]), return_index=True)
+    lla, v_l, q_lb = (
+        np.concatenate([getattr(part, name) for part in parts])[first]
+        for name in ("lla", "v_l", "q_lb")
+    )
+    return Truth(t_us, lla, v_l, q_lb, parts[0].source)
 
 
 def _hil_state(frames: Frames, sysid: int) -> Truth | None:

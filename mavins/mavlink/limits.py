@@ -22,6 +22,8 @@ Network: TypeAlias = ipaddress.IPv4Network | ipaddress.IPv6Network
 
 PACKET_MIN: Final = 8
 """Bytes of the shortest packet: MAVLink 1 without a payload."""
+PIECE: Final = 64
+"""Bytes of a stream that count as a datagram: about a packet."""
 REMEMBERED: Final = 1024
 """Hosts whose place on the allow-list is remembered."""
 
@@ -36,7 +38,9 @@ class LimitSettings:
         tuple[str, ...],
         Doc("Networks that may send, such as 192.168.1.0/24; none: all. This host always may."),
     ] = ()
-    vehicle_rate: Annotated[_Rate, Doc("Of each vehicle.", "datagrams/s")] = 20_000.0
+    vehicle_rate: Annotated[
+        _Rate, Doc("Of each vehicle; 64 bytes of a stream count as a datagram.", "datagrams/s")
+    ] = 20_000.0
     peer_rate: Annotated[_Rate, Doc("Of each other peer.", "datagrams/s")] = 1000.0
     unknown_rate: Annotated[_Rate, Doc("Of all unknown addresses together.", "datagrams/s")] = 500.0
 
@@ -116,14 +120,14 @@ class Bucket:
         self._level = self._full
         self._at_us = now_us
 
-    def take(self, now_us: int) -> bool:
-        """Take one token, if there is one; a clock that steps back gives none."""
+    def take(self, now_us: int, tokens: int = 1) -> bool:
+        """Take tokens, if there are so many; a clock that steps back gives none."""
         if now_us > self._at_us:
             self._level = min(self._full, self._level + (now_us - self._at_us) * self._rate)
             self._at_us = now_us
-        if self._level < 1_000_000:
+        if self._level < tokens * 1_000_000:
             return False
-        self._level -= 1_000_000
+        self._level -= tokens * 1_000_000
         return True
 
 
@@ -149,22 +153,34 @@ class Gate:
 
     def admits(self, data: bytes, address: Hashable, host: str, now_us: int) -> bool:
         """True for a datagram that shall be scanned."""
-        if (bucket := self._vehicles.get(address)) is not None:
-            reason = "vehicle over its rate"
-        elif (bucket := self._peers.get(address)) is not None:
-            reason = "peer over its rate"
-        elif not starts_a_packet(data):
-            self.dropped["no packet from an unknown address"] += 1
-            return False
-        elif host not in self._allowed:
-            self.dropped["address not on the allow-list"] += 1
-            return False
-        else:
-            bucket, reason = self._unknown, "unknown addresses over their rate"
+        bucket, reason = self._bucket(address)
+        if bucket is self._unknown:
+            if not starts_a_packet(data):
+                self.dropped["no packet from an unknown address"] += 1
+                return False
+            if host not in self._allowed:
+                self.dropped["address not on the allow-list"] += 1
+                return False
         if bucket.take(now_us):
             return True
         self.dropped[reason] += 1
         return False
+
+    def admits_piece(self, data: bytes, address: Hashable, now_us: int) -> bool:
+        """True for a piece of a stream that shall be scanned; the link asked who may connect."""
+        bucket, reason = self._bucket(address)
+        if bucket.take(now_us, -(-len(data) // PIECE)):
+            return True
+        self.dropped[reason] += 1
+        return False
+
+    def _bucket(self, address: Hashable) -> tuple[Bucket, str]:
+        """Whose allowance an address uses, and what is said when there is none left."""
+        if (bucket := self._vehicles.get(address)) is not None:
+            return bucket, "vehicle over its rate"
+        if (bucket := self._peers.get(address)) is not None:
+            return bucket, "peer over its rate"
+        return self._unknown, "unknown addresses over their rate"
 
 
 def _buckets(

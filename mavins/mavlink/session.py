@@ -10,7 +10,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Hashable
-from typing import Any, Final
+from dataclasses import dataclass
+from typing import Any, Final, Protocol
 
 import numpy as np
 
@@ -61,47 +62,75 @@ _WARNING_ID: Final = 0xFFFF
 """MAV_SEVERITY of a refusal, and the number of its text, which no other text comes to."""
 
 
+class SessionConfig(Protocol):
+    """What a session is told about its work; `mavins.config.Config` is one."""
+
+    @property
+    def mavlink(self) -> SessionSettings:
+        """Who we are, and for how long others count."""
+
+    @property
+    def streams(self) -> StreamSettings:
+        """What is sent how often."""
+
+    @property
+    def sources(self) -> SourceSettings:
+        """Which messages are used."""
+
+    @property
+    def asking(self) -> AskingSettings:
+        """What an autopilot is asked for."""
+
+    @property
+    def monitor(self) -> MonitorSettings:
+        """When an autopilot's own estimate is doubted."""
+
+    @property
+    def autopilot_output(self) -> AutopilotOutputSettings:
+        """What an autopilot is given."""
+
+
+@dataclass(frozen=True, slots=True)
+class Surroundings:
+    """What a session has around it; without any it works in memory, trusts everyone and keeps nothing.
+
+    `is_local` tells who may change our state; `transmit` sends a packet as soon as it is made, without it they wait for
+    `Session.datagrams`; `verify` and `seal` are for signing; `make_store` gives a vehicle its parameters.
+    """
+
+    is_local: Callable[[Hashable], bool] = lambda address: True
+    recorder: Recorder | None = None
+    transmit: Transmit | None = None
+    verify: Callable[[Frames, Hashable], Verdict] | None = None
+    seal: Seal | None = None
+    make_store: Callable[[Vehicle], ParameterStore | None] = lambda vehicle: None
+
+
 class Session:
     """All peers and vehicles of a service."""
 
     def __init__(
         self,
-        settings: SessionSettings,
-        streams: StreamSettings,
-        sources: SourceSettings,
+        config: SessionConfig,
         make_estimator: Callable[[int], Estimator],
-        is_local: Callable[[Hashable], bool] = lambda address: True,
-        recorder: Recorder | None = None,
-        transmit: Transmit | None = None,
-        verify: Callable[[Frames, Hashable], Verdict] | None = None,
-        seal: Seal | None = None,
-        make_store: Callable[[Vehicle], ParameterStore | None] = lambda vehicle: None,
-        monitor: MonitorSettings | None = None,
-        output: AutopilotOutputSettings | None = None,
-        asking: AskingSettings | None = None,
+        surroundings: Surroundings = Surroundings(),
     ) -> None:
+        settings = config.mavlink
         self.vehicles: dict[int, Vehicle] = {}
         self.dropped: Counter[str] = Counter()
         self.peers = Peers(settings.max_peers, round(settings.peer_timeout * 1e6), self.dropped)
         self.packets_in = 0
         self.packets_routed = 0
+        self._config = config
         self._settings = settings
-        self._streams = streams
-        self._sources = sources
         self._make_estimator = make_estimator
-        self._is_local = is_local
-        self._recorder = recorder
-        self._verify = verify
-        self._make_store = make_store
-        self._monitor = monitor
-        self._output = output or AutopilotOutputSettings()
-        # a service sends each packet as soon as it is made; without one they wait for `datagrams`
-        self._outbox = Outbox(self.peers, recorder, transmit, seal)
+        self._around = surroundings
+        self._outbox = Outbox(
+            self.peers, surroundings.recorder, surroundings.transmit, surroundings.seal
+        )
         self._router = Router() if settings.route else None
         self.asking = Asking(
-            asking or AskingSettings(enabled=False),
-            settings.max_vehicles,
-            round(settings.vehicle_timeout * 1e6),
+            config.asking, settings.max_vehicles, round(settings.vehicle_timeout * 1e6)
         )
         self._seen_sysids: set[int] = set()
         self._wanted_origins: list[OriginRequest] = []
@@ -130,8 +159,8 @@ class Session:
             return frames
         self.packets_in += len(frames)
         signed = False
-        if self._verify is not None:
-            verdict = self._verify(frames, address)
+        if self._around.verify is not None:
+            verdict = self._around.verify(frames, address)
             signed = bool(verdict.signed.all())
             if verdict.refused:
                 self.dropped.update(verdict.refused)
@@ -148,13 +177,14 @@ class Session:
         if self.asking.lone or not self.asking.heard.isdisjoint(msgids):
             self.asking.take(frames, address, now_us, self.vehicles, self._identity)
         requests = {i: decode_packet(frames, i) for i, n in enumerate(msgids) if n in REQUESTS}
-        trusted = self._settings.allow_remote_config or signed or self._is_local(address)
+        trusted = self._settings.allow_remote_config or signed or self._around.is_local(address)
         # a recording holds only requests that were carried out, so that a replay may carry them out again
         refused = [i for i, m in requests.items() if m and not self._allows(m, trusted)]
-        if self._recorder is not None:
+        recorder = self._around.recorder
+        if recorder is not None:
             for i in range(len(frames)):
                 if i not in refused:
-                    self._recorder.write(now_us, unsigned(frames.packet(i)))
+                    recorder.write(now_us, unsigned(frames.packet(i)))
         start = 0
         # a request takes effect at its place among the packets, as it will in a replay
         for i, message in requests.items():
@@ -291,21 +321,21 @@ class Session:
             self.dropped["more vehicles than max_vehicles"] += 1
             return None
         estimator = self._make_estimator(sysid)
-        monitor = None if self._monitor is None else Monitor(self._monitor, estimator)
-        intake = Intake(estimator, self._sources, monitor)
+        monitor = Monitor(self._config.monitor, estimator)
+        intake = Intake(estimator, self._config.sources, monitor)
         vehicle = Vehicle(
             sysid,
             self._identity(sysid),
             estimator,
             intake,
             Holder(address, now_us),
-            self._streams,
+            self._config.streams,
             round(self._settings.vehicle_timeout * 1e6),
             self._settings.persona,
             monitor=monitor,
-            output=AutopilotOutput(self._output, intake.clock),
+            output=AutopilotOutput(self._config.autopilot_output, intake.clock),
         )
-        vehicle.parameters = VehicleParameters(self._make_store(vehicle))
+        vehicle.parameters = VehicleParameters(self._around.make_store(vehicle))
         self.vehicles[sysid] = vehicle
         for request in self._wanted_origins:
             if request.target_system in (0, vehicle.identity.sysid):

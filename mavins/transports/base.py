@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Collection, Sequence
-from typing import Protocol, TypeAlias
+from typing import Final, Protocol, TypeAlias
 
 from mavins.errors import TransportError
 
@@ -14,6 +14,14 @@ Datagram: TypeAlias = tuple[bytes, Address]
 """Bytes and where they came from."""
 Say: TypeAlias = Callable[[str], None]
 """Takes one line about a link for people."""
+Admits: TypeAlias = Callable[[str], bool]
+"""Whether a host may send to a link at all."""
+NOT_ADMITTED: Final = "address not on the allow-list"
+
+
+def everyone(host: str) -> bool:
+    """Admits every host."""
+    return True
 
 
 class Transport(Protocol):

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from mavins.transports.base import Link, Say
+from mavins.transports.base import Admits, Link, Say, everyone
 from mavins.transports.urls import LinkUrl
 
 
-def open_link(url: LinkUrl, say: Say) -> Link:
+def open_link(url: LinkUrl, say: Say, admits: Admits = everyone) -> Link:
     """Open a link; `say` is told when one that opens itself again is lost, and when it is back.
+
+    `admits` is asked about the clients of a TCP server and the members of a multicast group.
 
     TransportError where that cannot be done.
     """
@@ -23,7 +25,7 @@ def open_link(url: LinkUrl, say: Say) -> Link:
         case "udpmcast":
             from mavins.transports.multicast import MulticastTransport
 
-            return MulticastTransport(url.host, url.port, url.interface)
+            return MulticastTransport(url.host, url.port, url.interface, admits)
         case "tcp":
             from mavins.transports.tcp import TcpClient
 
@@ -31,7 +33,7 @@ def open_link(url: LinkUrl, say: Say) -> Link:
         case "tcpin":
             from mavins.transports.tcp import TcpServer
 
-            return TcpServer(url.host, url.port, say)
+            return TcpServer(url.host, url.port, say, admits)
         case "serial":
             from mavins.transports.serial import SerialTransport
 

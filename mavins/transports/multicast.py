@@ -3,21 +3,27 @@
 from __future__ import annotations
 
 import socket
+from collections import Counter
 from collections.abc import Collection
 
 from mavins.errors import TransportError
-from mavins.transports.base import Address, Datagram, address_text
+from mavins.transports.base import NOT_ADMITTED, Address, Admits, Datagram, address_text, everyone
 from mavins.transports.udp import UdpTransport
 
 
 class MulticastTransport(UdpTransport):
     """A member of an IPv4 group.
 
-    The group is one address, whoever of its members has sent: what is sent goes to all of them, once.
+    The group is one address, whoever of its members has sent: what is sent goes to all of them, once. Members whom
+    `admits` refuses are not heard.
     """
 
-    def __init__(self, group: str, port: int, interface: str = "") -> None:
+    def __init__(
+        self, group: str, port: int, interface: str = "", admits: Admits = everyone
+    ) -> None:
         """Join on the interface with that IPv4 address, or on the one that the system chooses."""
+        self._admits = admits
+        self._refused = 0
         self._group: Address = (group, port)
         self._out, sock = _out(self._group, interface), None
         try:
@@ -32,7 +38,20 @@ class MulticastTransport(UdpTransport):
         self.announcement = f"joined udp {address_text(self._group)}"
 
     def _drain(self) -> list[Datagram]:
-        return [(data, self._group) for data, sender in super()._drain() if sender != self._own]
+        datagrams: list[Datagram] = []
+        for data, sender in super()._drain():
+            if sender == self._own:
+                continue
+            if self._admits(sender[0]):
+                datagrams.append((data, self._group))
+            else:
+                self._refused += 1
+        return datagrams
+
+    @property
+    def dropped(self) -> Counter[str]:
+        """What was not sent, what the kernel had no room for, and what came from members who may not send."""
+        return super().dropped + Counter({NOT_ADMITTED: self._refused})
 
     def prefer(self, peers: Collection[Address]) -> None:
         """All members are one address."""

@@ -17,7 +17,8 @@ from typing import Final
 
 from mavins.transports.base import Address, Datagram, Say
 
-READ_SIZE: Final = 1 << 16
+READ_SIZE: Final = 1024
+"""Bytes of a connection handed over at once, so that no stream keeps the caller long from the others."""
 FIRST_WAIT_S: Final = 0.5
 LONGEST_WAIT_S: Final = 5.0
 

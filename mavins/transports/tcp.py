@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 from typing import Final
 
-from mavins.transports.base import Address, Say, address_text
+from mavins.transports.base import NOT_ADMITTED, Address, Admits, Say, address_text, everyone
 from mavins.transports.sockets import bound, family_of, resolve
 from mavins.transports.stream import Connection, Reconnecting, StreamTransport
 
@@ -81,9 +81,13 @@ class TcpClient(Reconnecting):
 
 
 class TcpServer(StreamTransport):
-    """Listens on a port (0: any free one); an empty host means all IPv4 interfaces, `::` all."""
+    """Listens on a port (0: any free one); an empty host means all IPv4 interfaces, `::` all.
 
-    def __init__(self, host: str, port: int, say: Say) -> None:
+    A client whom `admits` refuses is hung up on at once.
+    """
+
+    def __init__(self, host: str, port: int, say: Say, admits: Admits = everyone) -> None:
+        self._admits = admits
         self._socket = bound(socket.SOCK_STREAM, host, port)
         self._socket.listen()
         self._socket.setblocking(False)
@@ -110,14 +114,21 @@ class TcpServer(StreamTransport):
             self._selector.unregister(self._socket)
             self._is_accepting = False
             return
-        if len(self._connections) >= MAX_CLIENTS:
-            self.dropped[f"more clients than {MAX_CLIENTS}"] += 1
+        reason = self._objection(address[0])
+        if reason:
+            self.dropped[reason] += 1
             sock.close()
             return
         sock.setblocking(False)
         _prepare(sock)
         host, port = address[:2]
         self._add(Connection(sock.fileno(), (host, port), sock.close, QUEUE_BYTES, self.dropped))
+
+    def _objection(self, host: str) -> str:
+        """Why a client is not taken, or nothing."""
+        if not self._admits(host):
+            return NOT_ADMITTED
+        return f"more clients than {MAX_CLIENTS}" if len(self._connections) >= MAX_CLIENTS else ""
 
     def close(self) -> None:
         """Close the port and every connection."""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import ipaddress
-from dataclasses import dataclass
-from typing import Final
+from dataclasses import dataclass, replace
+from typing import Final, Literal, TypeAlias
 from urllib.parse import parse_qsl
 
 from mavins.errors import TransportError
@@ -20,7 +20,10 @@ EXAMPLES: Final = {
 }
 """Every kind of link, and what its URL looks like."""
 
+Unsigned: TypeAlias = Literal["none", "local", "all"]
+POLICIES: Final[dict[str, Unsigned]] = {"none": "none", "local": "local", "all": "all"}
 OPTIONS: Final = {"serial": ("baud", "trusted"), "udpmcast": ("interface",)}
+"""Beside `unsigned`, which every kind has."""
 DEFAULT_BAUD: Final = 57600
 MAX_BAUD: Final = 4_000_000
 
@@ -30,7 +33,8 @@ class LinkUrl:
     """One link as the user named it; an empty `host` means all interfaces (tcp, udpout: this host).
 
     `device`, `baud` and `trusted` are a serial line's, `interface` is the IPv4 address of the
-    interface for multicast.
+    interface for multicast. `unsigned` says whose packets are taken without a signature where there
+    is a key: None: as configured.
     """
 
     kind: str
@@ -40,6 +44,7 @@ class LinkUrl:
     baud: int = DEFAULT_BAUD
     trusted: bool = False
     interface: str = ""
+    unsigned: Unsigned | None = None
 
 
 def parse_url(text: str) -> LinkUrl:
@@ -52,6 +57,14 @@ def parse_url(text: str) -> LinkUrl:
         )
     place, _, query = rest.partition("?")
     options = _options(text, kind, query)
+    unsigned = options.pop("unsigned", None)
+    if unsigned is not None and unsigned not in POLICIES:
+        raise _wrong(text, kind, "unsigned is none, local or all")
+    link = _link(text, kind, place, options)
+    return link if unsigned is None else replace(link, unsigned=POLICIES[unsigned])
+
+
+def _link(text: str, kind: str, place: str, options: dict[str, str]) -> LinkUrl:
     if kind == "serial":
         return _serial(text, place, options)
     try:
@@ -97,12 +110,10 @@ def _options(text: str, kind: str, query: str) -> dict[str, str]:
         pairs = parse_qsl(query, keep_blank_values=True, strict_parsing=True) if query else []
     except ValueError:
         raise _wrong(text, kind, "options are ?NAME=VALUE&NAME=VALUE") from None
-    known = OPTIONS.get(kind, ())
+    known = (*OPTIONS.get(kind, ()), "unsigned")
     for name, _ in pairs:
         if name not in known:
-            raise _wrong(
-                text, kind, f"it has no option '{name}', only {', '.join(known) or 'none'}"
-            )
+            raise _wrong(text, kind, f"it has no option '{name}', only {', '.join(known)}")
     return dict(pairs)
 
 

@@ -1,11 +1,13 @@
 """A flood beside a flight, on loopback: what it does to the estimate's latency and to the vehicle's packets.
 
-`bench_flood.py [RATE] [garbage|peers] [SECONDS]`: 50,000 datagrams/s of garbage unless given, in the last two thirds
-of 20 s. `peers` are right heartbeats from ever other sysids. The generator is a process of its own with eight ports.
+`bench_flood.py [RATE] [garbage|peers] [SECONDS] [udp|tcp]`: 50,000 datagrams/s of garbage unless given, in the last
+two thirds of 20 s. `peers` are right heartbeats from ever other sysids. The generator is a process of its own with
+eight ports; by `tcp` it has eight connections, and sends what is taken.
 """
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import json
 import multiprocessing
@@ -44,25 +46,26 @@ class Station(Watch):
         return bool(self.delays) and self.delays[-1][0] > t_us // 1000 - 100
 
 
-def flood(port: int, rate: float, kind: str, seconds: float, sent: Synchronized[int]) -> None:
+def flood(
+    port: int, rate: float, kind: str, by: str, seconds: float, sent: Synchronized[int]
+) -> None:
     """Send at `rate` or as fast as this goes, from several ports."""
-    sockets = [socket.socket(type=socket.SOCK_DGRAM) for _ in range(PORTS)]
+    way = socket.SOCK_STREAM if by == "tcp" else socket.SOCK_DGRAM
+    sockets = [socket.socket(type=way) for _ in range(PORTS)]
     for sock in sockets:
         sock.connect(("127.0.0.1", port))
         sock.setblocking(False)
     stream = itertools.cycle(zip(itertools.cycle(sockets), datagrams(kind), strict=False))
     begin = time.perf_counter()
-    count = 0
+    count = taken = 0
     while (elapsed := time.perf_counter() - begin) < seconds:
         for sock, data in itertools.islice(stream, min(500, int(elapsed * rate) - count)):
-            try:
+            count += 1
+            with contextlib.suppress(OSError):
                 sock.send(data)
-            except OSError:
-                continue
-            finally:
-                count += 1
+                taken += 1
         time.sleep(max(0.0, BATCH_S - (time.perf_counter() - begin - elapsed)))
-    sent.value = count
+    sent.value = taken
 
 
 def kernel_drops(port: int) -> dict[str, int]:
@@ -82,23 +85,33 @@ def share(values: list[float], part: float) -> float:
     return sorted(values)[min(len(values) - 1, int(part * len(values)))] * 1e3
 
 
-def run(rate: float, kind: str, seconds: float) -> None:
+def run(rate: float, kind: str, seconds: float, by: str) -> None:
     """Fly, flood and print."""
     stream = list(flight(seconds))
     with tempfile.TemporaryDirectory() as folder, socket.socket(type=socket.SOCK_DGRAM) as sock:
         command = [sys.executable, "-m", "mavins", "-q", "serve", "--udp", "127.0.0.1:0"]
+        command += ["--link", "tcpin://127.0.0.1:0"]
         command += ["--out", f"{folder}/out", "--record", f"{folder}/flight.tlog"]
         process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         sent = multiprocessing.Value("q", 0)
         try:
             assert process.stdout is not None
             port = int(process.stdout.readline().rpartition(":")[2])
+            tcp_port = int(process.stdout.readline().rpartition(":")[2])
             sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4 << 20)
             sock.connect(("127.0.0.1", port))
             watch = Station(sock)
             flood_us = START_US + round(seconds * 1e6 / 3)
             flooding = multiprocessing.Process(
-                target=flood, args=(port, rate, kind, seconds * 2 / 3 - 0.2, sent)
+                target=flood,
+                args=(
+                    tcp_port if by == "tcp" else port,
+                    rate,
+                    kind,
+                    by,
+                    seconds * 2 / 3 - 0.2,
+                    sent,
+                ),
             )
             begin, at_start = time.perf_counter(), (0.0, 0.0)
             samples = 0
@@ -122,7 +135,9 @@ def run(rate: float, kind: str, seconds: float) -> None:
             process.send_signal(signal.SIGINT)
             process.wait(30.0)
         summary = json.loads(Path(f"{folder}/out/summary.json").read_text())
-    print(f"{kind}: {sent.value / (seconds * 2 / 3 - 0.2):,.0f} datagrams/s of {rate:,.0f} wanted")
+    print(
+        f"{kind} by {by}: {sent.value / (seconds * 2 / 3 - 0.2):,.0f} datagrams/s of {rate:,.0f} wanted"
+    )
     calm = [d for ms, d in watch.delays if flood_us - 3_000_000 < ms * 1000 < flood_us]
     flooded = [d for ms, d in watch.delays if ms * 1000 > flood_us + 500_000]
     for name, delays in (("calm", calm), ("flooded", flooded)):
@@ -142,4 +157,5 @@ if __name__ == "__main__":
         float(words[0]) if words else 50_000.0,
         words[1] if len(words) > 1 else "garbage",
         float(words[2]) if len(words) > 2 else 20.0,
+        words[3] if len(words) > 3 else "udp",
     )

@@ -21,7 +21,7 @@ from mavins.mavlink.codec import (
     heartbeat,
     highres_imu,
 )
-from mavins.mavlink.session import Session
+from mavins.mavlink.session import Session, Surroundings
 from mavins.mavlink.vehicle import Vehicle
 from mavins.parameters import TABLE, ConfigStore, file_keeper
 from mavins.tlog_source import tune
@@ -175,15 +175,12 @@ class Harness:
         self.rows = 0
         self.now_us = 1_790_000_000_000_000
         self.session = Session(
-            config.mavlink,
-            config.streams,
-            config.sources,
+            config,
             lambda sysid: Estimator(config, config.filter, Outputs(20_000, self.count)),
-            lambda address: isinstance(address, tuple) and str(address[1]).startswith("127."),
-            make_store=self.store,
-            monitor=config.monitor,
-            output=config.autopilot_output,
-            asking=config.asking,
+            Surroundings(
+                lambda address: isinstance(address, tuple) and str(address[1]).startswith("127."),
+                make_store=self.store,
+            ),
         )
 
     def store(self, vehicle: Vehicle) -> ConfigStore:

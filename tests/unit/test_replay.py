@@ -17,6 +17,7 @@ from mavins.errors import LogFormatError
 from mavins.estimator.estimator import Estimator, Outputs
 from mavins.logs.tlog import TlogWriter, read_tlog
 from mavins.mavlink.codec import (
+    Frames,
     Payload,
     attitude,
     frame,
@@ -34,7 +35,8 @@ from mavins.parameters import ConfigStore, file_keeper
 from mavins.replay import ReplayOptions, grid_us, replay
 from mavins.results import ResultWriter
 from mavins.sources import tape_of
-from mavins.tlog_source import our_identity, tune, vehicle_of
+from mavins.tlog_source import tune
+from mavins.tlog_survey import Survey
 from mavins.types import GnssFix, ImuSample, TruthSample
 
 # a flight through the estimator takes minutes where nothing is compiled
@@ -90,6 +92,19 @@ def test_grid() -> None:
     assert grid_us(1e9) == 1
 
 
+def surveyed(
+    frames: Frames,
+    wanted: int | None = None,
+    settings: SessionSettings | None = None,
+    size: int = 1000,
+) -> Survey:
+    """A survey of packets in blocks of `size`."""
+    survey = Survey(settings or SessionSettings(), wanted)
+    for start in range(0, len(frames), size):
+        survey.see(frames.select(np.arange(start, min(start + size, len(frames)))))
+    return survey
+
+
 def test_the_vehicle_is_the_first_that_sends_an_imu(tmp_path: Path) -> None:
     packets: list[tuple[int, Payload | bytes]] = [
         (0, frame(heartbeat(2, 0), 3, 1, 0)),
@@ -97,13 +112,13 @@ def test_the_vehicle_is_the_first_that_sends_an_imu(tmp_path: Path) -> None:
         (2, frame(imu(2), 4, 1, 0)),
     ]
     frames = read_tlog(log_of(tmp_path / "a.tlog", packets))
-    assert vehicle_of(frames) == 9
-    assert vehicle_of(frames, 4) == 4
+    assert surveyed(frames).check() == 9
+    assert surveyed(frames, 4).check() == 4
     with pytest.raises(LogFormatError, match=r"vehicle 3 sends no IMU .* 4, 9"):
-        vehicle_of(frames, 3)
+        surveyed(frames, 3).check()
     silent = read_tlog(log_of(tmp_path / "b.tlog", packets[:1]))
     with pytest.raises(LogFormatError, match="no IMU messages"):
-        vehicle_of(silent)
+        surveyed(silent).check()
 
 
 def test_our_sysid_is_found_again(tmp_path: Path) -> None:
@@ -114,10 +129,11 @@ def test_our_sysid_is_found_again(tmp_path: Path) -> None:
         (3, frame(imu(3), 2, 1, 0)),
     ]
     frames = read_tlog(log_of(tmp_path / "a.tlog", packets))
-    assert our_identity(frames, 1, SessionSettings()) == (101, 1)
-    assert our_identity(frames, 2, SessionSettings()) == (102, 1)
-    assert our_identity(frames, 1, SessionSettings(sysid=50)) == (50, 1)
-    assert our_identity(frames, 77, SessionSettings()) is None
+    for size in (1, 2, 4):  # however the log is parted
+        assert surveyed(frames, 1, size=size).identity == (101, 1)
+        assert surveyed(frames, 2, size=size).identity == (102, 1)
+        assert surveyed(frames, 1, SessionSettings(sysid=50), size).identity == (50, 1)
+        assert surveyed(frames, 77, size=size).identity is None
 
 
 @pytest.mark.jit

@@ -295,6 +295,18 @@ def test_with_a_key_only_signed_packets_come_in_and_go_out(tmp_path: Path) -> No
     assert 256 not in frames.msgid
 
 
+def test_each_link_has_its_own_policy(tmp_path: Path) -> None:
+    signing = open_signing(tmp_path)
+    links = [Wire(), Wire(), Wire()]
+    service = Service(Config(), links, signing=signing, unsigned=["none", None, "all"])  # type: ignore[list-item]
+    session = service.session
+    for index, sysid in enumerate((4, 5, 6)):
+        session.receive(imu(sysid, 1_000_000), (index, "127.0.0.1", 14550), NOW_US)
+        session.receive(imu(sysid + 10, 1_000_000), (index, "10.0.0.9", 14550), NOW_US)
+    assert list(session.vehicles) == [5, 6, 16]
+    service.close()
+
+
 def test_a_signature_allows_changes_from_elsewhere(tmp_path: Path) -> None:
     config = Config(signing=SigningSettings(unsigned="all"))
     service = Service(config, [Wire()], (), None, None, None, open_signing(tmp_path))  # type: ignore[list-item]

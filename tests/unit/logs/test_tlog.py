@@ -7,17 +7,24 @@ from __future__ import annotations
 import gzip
 import io
 import lzma
+import random
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from pymavlink import mavutil
 
 from mavins.errors import LogFormatError, OutputError
-from mavins.logs.tlog import TlogWriter, read_tlog
-from mavins.mavlink.codec import frame, heartbeat, system_time
+from mavins.logs.tlog import Tlog, TlogWriter, read_tlog
+from mavins.mavlink.codec import frame, heartbeat, highres_imu, scan_tlog, system_time
+from mavins.types import ImuSample
 
 T0 = 1_750_000_000_000_000
+SAMPLE = ImuSample(1_000_000, np.array([0.0, 0.0, -9.8]), np.zeros(3))
 
 
 def write(path: Path, n: int = 10) -> list[bytes]:
@@ -119,3 +126,68 @@ def test_a_log_that_is_not_there(tmp_path: Path) -> None:
         read_tlog(tmp_path / "missing.tlog")
     with pytest.raises(LogFormatError, match="directory"):
         read_tlog(tmp_path)
+
+
+def damaged(rng: random.Random) -> bytes:
+    """A log whose records are whole, cut, flipped, foreign or without their stamps."""
+    data = bytearray()
+    for k in range(rng.randint(1, 60)):
+        packet = rng.choice(
+            [
+                frame(heartbeat(2, 3), 1, 1, k),
+                frame(highres_imu(SAMPLE), 1, 1, k),
+                b"\xfd\x03\x00\x00\x00\x01\x01\xee\xee\xee" + rng.randbytes(5),
+            ]
+        )
+        record = (T0 + k).to_bytes(8, "big") + packet
+        match rng.randrange(8):
+            case 0:
+                record = record[: rng.randrange(len(record))]
+            case 1:
+                at = rng.randrange(len(record))
+                record = (
+                    record[:at] + bytes([record[at] ^ 1 << rng.randrange(8)]) + record[at + 1 :]
+                )
+            case 2:
+                record = record[rng.randrange(9) :]
+            case 3:
+                record += rng.randbytes(rng.randrange(300))
+        data += record
+    return bytes(data)
+
+
+@given(st.integers(0, 2**32), st.integers(300, 4000))
+@settings(max_examples=200, deadline=None)
+def test_a_log_in_blocks_is_the_log(seed: int, block_size: int) -> None:
+    data = T0.to_bytes(8, "big") + frame(heartbeat(2, 3), 1, 1, 0) + damaged(random.Random(seed))
+    whole = scan_tlog(data)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "a.tlog"
+        path.write_bytes(data)
+        log = Tlog(path, block_size, keep=0)
+        try:
+            blocks = list(log)
+        except LogFormatError:
+            assert whole.damage.skipped_bytes > 0.9 * len(data)
+            return
+        again = list(log)
+    for frames in (blocks, again):
+        packets = [f.packet(i) for f in frames for i in range(len(f))]
+        assert packets == [whole.packet(i) for i in range(len(whole))]
+        stamps = [t for f in frames for t in f.t_us.tolist()]
+        assert stamps == whole.t_us.tolist()
+        for name in ("bad_crc", "unknown", "skipped_bytes", "truncated"):
+            total = sum(getattr(f.damage, name) for f in frames)
+            assert total == getattr(whole.damage, name), name
+
+
+def test_a_small_log_is_read_once(tmp_path: Path) -> None:
+    path = tmp_path / "a.tlog"
+    with TlogWriter(path) as log:
+        for k in range(100):
+            log.write(T0 + k, frame(heartbeat(2, 3), 1, 1, k % 256))
+    blocks = Tlog(path, 500)
+    first = list(blocks)
+    path.unlink()
+    assert [len(f) for f in blocks] == [len(f) for f in first]
+    assert sum(len(f) for f in first) == 100

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import all as dialect
 
+from mavins.config import Config
 from mavins.mavlink.codec import (
     attitude,
     fields_of,
@@ -21,7 +22,7 @@ from mavins.mavlink.codec import (
     system_time,
 )
 from mavins.mavlink.session import Session
-from mavins.mavlink.settings import AskingSettings, SessionSettings, StreamSettings
+from mavins.mavlink.settings import AskingSettings, SessionSettings
 from mavins.mavlink.sources import ARDUPILOT, PX4, SourceSettings
 from mavins.mavlink.wishes import Wish, fix_for, wishes_of
 from mavins.types import GnssFix, ImuSample
@@ -115,11 +116,7 @@ class Rig:
     ) -> None:
         self.now_us = START_US
         self.session = Session(
-            SessionSettings(),
-            StreamSettings(),
-            sources,
-            lambda sysid: make_estimator(),
-            asking=settings,
+            Config(asking=settings, sources=sources), lambda sysid: make_estimator()
         )
         self.session.add_peer(GCS)
         self.texts: list[tuple[int, str]] = []

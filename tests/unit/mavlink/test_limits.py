@@ -10,6 +10,7 @@ from mavins import typed_settings
 from mavins.errors import ConfigError
 from mavins.mavlink.codec import frame, heartbeat
 from mavins.mavlink.limits import (
+    PIECE,
     REMEMBERED,
     AllowList,
     Bucket,
@@ -49,6 +50,17 @@ def test_a_bucket_gives_its_rate_and_a_second_of_burst(rate: int, steps: list[in
     # and no less than that to one who asks for less
     patient = Bucket(rate, 0)
     assert all(patient.take(k * SECOND // rate + k) for k in range(3 * rate))
+
+
+def test_pieces_of_a_stream_count_by_their_length() -> None:
+    gate = Gate(settings(vehicle_rate=1000, peer_rate=10, unknown_rate=4), NOW_US)
+    gate.know([VEHICLE], [STATION], NOW_US)
+    piece = bytes(3 * PIECE - 1)
+    assert [gate.admits_piece(piece, STATION, NOW_US) for _ in range(4)] == [True] * 3 + [False]
+    assert all(gate.admits_piece(piece, VEHICLE, NOW_US) for _ in range(333))
+    assert [gate.admits_piece(piece, (0, "10.9.9.9", k), NOW_US) for k in range(2)] == [True, False]
+    assert gate.dropped == {"peer over its rate": 1, "unknown addresses over their rate": 1}
+    assert gate.admits_piece(piece, STATION, NOW_US + SECOND)
 
 
 def test_a_clock_that_steps_back_gives_nothing_and_takes_nothing() -> None:

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import all as dialect
 
+from mavins.config import Config
 from mavins.mavlink.codec import frame, heartbeat, highres_imu
 from mavins.mavlink.identity import identity_for
-from mavins.mavlink.session import Session
-from mavins.mavlink.settings import SessionSettings, StreamSettings
-from mavins.mavlink.sources import SourceSettings
+from mavins.mavlink.session import Session, Surroundings
+from mavins.mavlink.settings import AskingSettings, SessionSettings
 from mavins.types import ImuSample
 
 # a flight through the estimator takes minutes where nothing is compiled
@@ -34,6 +34,9 @@ class Tape:
         self.packets.append((t_us, packet))
 
 
+SILENT = AskingSettings(enabled=False)
+
+
 class Rig:
     def __init__(self, make_estimator: Callable[[], Any], **settings: Any) -> None:
         self.tape = Tape()
@@ -45,12 +48,9 @@ class Rig:
             return self.estimators[sysid]
 
         self.session = Session(
-            SessionSettings(**settings),
-            StreamSettings(),
-            SourceSettings(),
+            Config(mavlink=SessionSettings(**settings), asking=SILENT),
             make,
-            lambda address: address != AWAY,
-            self.tape,
+            Surroundings(lambda address: address != AWAY, self.tape),
         )
 
     def put(self, data: bytes, address: str = HERE, after_us: int = 1000) -> list[Any]:
@@ -327,11 +327,9 @@ def test_damage_is_counted_and_nothing_of_it_recorded(rig: Rig) -> None:
 def test_packets_go_out_at_once_where_there_is_a_way(make_estimator: Any) -> None:
     sent: list[tuple[bytes, Any]] = []
     session = Session(
-        SessionSettings(),
-        StreamSettings(),
-        SourceSettings(),
+        Config(asking=SILENT),
         lambda sysid: make_estimator(),
-        transmit=lambda data, address: sent.append((data, address)),
+        Surroundings(transmit=lambda data, address: sent.append((data, address))),
     )
     session.receive(imu(), HERE, NOW_US)
     session.tick(NOW_US)

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import pytest
 
 from mavins.errors import TransportError
-from mavins.transports.base import Link
+from mavins.transports.base import NOT_ADMITTED, Link
 from mavins.transports.multicast import MulticastTransport
 
 GROUP = "239.255.145.50"
@@ -69,3 +69,14 @@ def test_a_closed_member_is_quiet(members: list[MulticastTransport]) -> None:
     members[0].send(b"x")
     assert members[0].recv(0.0) == []
     assert members[0].send_errors == 1
+
+
+def test_a_member_who_may_not_send_is_not_heard(
+    members: list[MulticastTransport], port: int
+) -> None:
+    deaf = MulticastTransport(GROUP, port, "127.0.0.1", lambda host: False)
+    members[0].send(b"x")
+    assert heard(members[1], 1) == [b"x"]
+    assert deaf.recv(0.2) == []
+    assert deaf.dropped[NOT_ADMITTED] == 1
+    deaf.close()

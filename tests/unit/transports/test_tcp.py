@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import select
 import socket
 import time
@@ -12,7 +13,7 @@ import pytest
 
 from mavins.errors import TransportError
 from mavins.transports import tcp
-from mavins.transports.base import Link
+from mavins.transports.base import NOT_ADMITTED, Link
 from mavins.transports.stream import CONGESTED, FIRST_WAIT_S, LONGEST_WAIT_S, LOST, NOT_SENT
 from mavins.transports.tcp import QUEUE_BYTES, TcpClient, TcpServer
 from mavins.transports.udp import UdpTransport
@@ -282,3 +283,17 @@ def test_what_cannot_be_opened(server: TcpServer, told: list[str]) -> None:
         TcpServer("192.0.2.1", 0, told.append)
     with pytest.raises(TransportError, match="no host is called"):
         TcpClient("no-such-host.invalid", 1, told.append)
+
+
+def test_a_client_who_may_not_send_is_hung_up_on(told: list[str]) -> None:
+    server = TcpServer("127.0.0.1", 0, told.append, lambda host: host != "127.0.0.1")
+    with socket.create_connection(server.address) as client:
+        client.settimeout(LIMIT_S)
+        client.sendall(b"x")
+        deadline = time.monotonic() + LIMIT_S
+        while not server.dropped and time.monotonic() < deadline:
+            assert server.recv(0.02) == []
+        with contextlib.suppress(ConnectionError):
+            assert client.recv(1) == b""
+    assert server.dropped == {NOT_ADMITTED: 1}
+    server.close()

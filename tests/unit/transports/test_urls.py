@@ -34,6 +34,11 @@ from mavins.transports.urls import EXAMPLES, LinkUrl, parse_url
             "udpmcast://239.1.2.3:14550?interface=10.0.0.2",
             LinkUrl("udpmcast", "239.1.2.3", 14550, interface="10.0.0.2"),
         ),
+        ("udp://:14550?unsigned=none", LinkUrl("udp", "", 14550, unsigned="none")),
+        (
+            "serial:///dev/ttyUSB0?trusted=1&unsigned=all",
+            LinkUrl("serial", device="/dev/ttyUSB0", trusted=True, unsigned="all"),
+        ),
     ],
 )
 def test_what_a_url_names(text: str, link: LinkUrl) -> None:
@@ -53,6 +58,7 @@ def test_what_a_url_names(text: str, link: LinkUrl) -> None:
         ("udp://:70000", "HOST:PORT"),
         ("udp://::1:14550", "[IPV6]:PORT"),
         ("udp://:14550?baud=5", "no option 'baud'"),
+        ("udp://:14550?unsigned=yes", "unsigned is none, local or all"),
         ("tcp://station:0", "port of the other side"),
         ("serial://ttyUSB0", "full path"),
         ("serial://", "full path"),
@@ -60,7 +66,7 @@ def test_what_a_url_names(text: str, link: LinkUrl) -> None:
         ("serial:///dev/ttyUSB0?baud=0", "baud"),
         ("serial:///dev/ttyUSB0?baud=99999999", "baud"),
         ("serial:///dev/ttyUSB0?trusted=yes", "trusted"),
-        ("serial:///dev/ttyUSB0?rate=57600", "'rate', only baud, trusted"),
+        ("serial:///dev/ttyUSB0?rate=57600", "'rate', only baud, trusted, unsigned"),
         ("serial:///dev/ttyUSB0?baud", "NAME=VALUE"),
         ("udpmcast://192.168.1.1:14550", "224.0.0.0"),
         ("udpmcast://[ff02::1]:14550", "224.0.0.0"),
