@@ -53,7 +53,9 @@ def truth_of(sim: Channel, sim2: Channel) -> Truth | None:
         return None
     t_us, rows = sim.table.t_us, sim.table.rows
     lla = np.column_stack([np.radians(rows[:, 3:5]), rows[:, 5]])
-    q_lb = np.where(np.isfinite(rows[:, 6:]).all(axis=1, keepdims=True), rows[:, 6:], _quat(rows[:, :3]))
+    q_lb = np.where(
+        np.isfinite(rows[:, 6:]).all(axis=1, keepdims=True), rows[:, 6:], _quat(rows[:, :3])
+    )
     norm: FloatArray = np.sqrt((q_lb**2).sum(axis=1))
     usable = np.flatnonzero(abs(norm - 1.0) < 0.1)
     t_us, lla, q_lb = t_us[usable], lla[usable], q_lb[usable] / norm[usable, None]
