@@ -8,6 +8,7 @@ here anew. A key written twice and an alias are refused: both hide a value from 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -93,6 +94,21 @@ def scalar(value: object) -> str:
     if isinstance(value, str):
         return value if _is_plain(value) else _quoted(value)
     raise TypeError(f"a setting cannot be a {type(value).__name__}")
+
+
+def block(
+    data: Mapping[str, Any], notes: Mapping[str, str], path: str = "", depth: int = 0
+) -> Iterator[str]:
+    """The lines of a nested mapping; behind a value stands the note of its dotted path, as a comment."""
+    indent = "  " * depth
+    for key, value in data.items():
+        here = f"{path}{key}"
+        if isinstance(value, Mapping) and value:
+            yield f"{indent}{key}:"
+            yield from block(value, notes, f"{here}.", depth + 1)
+        else:
+            shown = "{}" if isinstance(value, Mapping) else scalar(value)
+            yield f"{indent}{key}: {shown}" + (f"  # {notes[here]}" if here in notes else "")
 
 
 def _is_plain(text: str) -> bool:

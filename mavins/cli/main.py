@@ -37,6 +37,11 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     ),
     "observe": ("mavins.cli.observe", "which states a flight makes observable, and when"),
     "play": ("mavins.cli.play", "send a log's packets into a UDP port at their own pace"),
+    "tune": (
+        "mavins.cli.tune",
+        "noises and the GNSS delay that make a log's measurements likeliest",
+    ),
+    "allan": ("mavins.cli.allan", "an IMU's noises from a log in which it stands still"),
     "info": ("mavins.cli.info", "show what a log holds"),
     "config": ("mavins.cli.config", "show the configuration as commented YAML, or check a file"),
     "warmup": ("mavins.cli.warmup", "compile every kernel now, so that later starts are quick"),

@@ -14,7 +14,7 @@ import numpy as np
 
 from mavins.aiding import Measurement, gnss_position, gnss_velocity, heading, magnetometer
 from mavins.estimator.gate import gate_threshold
-from mavins.filters.base import Filter, FilterState
+from mavins.filters.base import Filter, FilterState, sigmas_of
 from mavins.types import FloatArray
 
 RESETTABLE: Final = {gnss_position.NAME: (0, 0), gnss_velocity.NAME: (1, 3)}
@@ -22,6 +22,7 @@ RESETTABLE: Final = {gnss_position.NAME: (0, 0), gnss_velocity.NAME: (1, 3)}
 
 
 _NOTHING: Final = np.empty(0)
+_NO_ROWS: Final = np.empty((0, 0))
 
 
 class Track(NamedTuple):
@@ -40,19 +41,27 @@ class Track(NamedTuple):
 
 @dataclass(slots=True)
 class Event:
-    """A measurement on the time line and what has become of it; `order` sorts events of one instant."""
+    """A measurement on the time line and what has become of it; `order` sorts events of one instant.
+
+    `innovation` (m,) and its covariance `S` (m, m) are those before the update.
+    """
 
     measurement: Measurement
     order: tuple[int, int, str, int]
     reason: str = ""
     nis: float = math.nan
     innovation: FloatArray = field(default_factory=lambda: _NOTHING)
-    sigma: FloatArray = field(default_factory=lambda: _NOTHING)
+    S: FloatArray = field(default_factory=lambda: _NO_ROWS)
 
     @property
     def accepted(self) -> bool:
         """True where it was fused."""
         return not self.reason
+
+    @property
+    def sigma(self) -> FloatArray:
+        """sqrt(diag S) (m,): how large the innovation was expected to be."""
+        return sigmas_of(self.S)
 
 
 def _put(values: tuple[int, ...], place: int, value: int) -> tuple[int, ...]:
@@ -77,7 +86,7 @@ class Fusion:
         m = event.measurement
         event.reason = m.quality
         gate = -1.0 if m.quality else gate_threshold(m.gate, len(m.z))
-        event.nis, event.innovation, event.sigma = self.filter.update(state, m, gate)
+        event.nis, event.innovation, event.S = self.filter.update(state, m, gate)
         if m.quality:
             return
         if event.nis <= gate:

@@ -93,7 +93,9 @@ class Measuring:
     def heading_sigma(self, fix: HeadingFix) -> float:
         """The 1-sigma noise (rad) taken for a heading."""
         settings = self._settings.heading
-        return fix.sigma if fix.sigma is not None else math.radians(settings.sigma_deg)
+        if fix.sigma is None or settings.accuracy == "configured":
+            return math.radians(settings.sigma_deg)
+        return fix.sigma
 
     def of_heading(self, fix: HeadingFix, frame: TangentFrame) -> Measurement:
         """A heading."""

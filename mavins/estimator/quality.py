@@ -24,7 +24,9 @@ class GnssNoise:
 
 
 def noise_of(fix: GnssFix, settings: GnssSettings) -> GnssNoise:
-    """R = max(reported accuracy, floor); a default where nothing is reported."""
+    """R = max(reported accuracy, floor), with a default where nothing is reported; or what is configured."""
+    if settings.accuracy == "configured":
+        return GnssNoise(settings.position_sigma, settings.altitude_sigma, settings.velocity_sigma)
     rtk = fix.fix_type in RTK_FIX_TYPES
     position = settings.rtk_position_floor if rtk else settings.position_floor
     speed = settings.rtk_velocity_floor if rtk else settings.velocity_floor

@@ -76,6 +76,13 @@ class GnssSettings:
         0.0,
         0.0,
     )
+    accuracy: Annotated[
+        Literal["reported", "configured"],
+        Doc(
+            "reported: the receiver's own accuracies, where it reports them, no smaller than the floors; configured: "
+            "position_sigma, altitude_sigma and velocity_sigma in their place, whatever is reported, without a floor."
+        ),
+    ] = "reported"
     position_floor: Annotated[
         float, Gt(0), Le(1000), Doc("The position sigma is never taken smaller than this.", "m")
     ] = 0.5
@@ -150,6 +157,12 @@ class HeadingSettings:
             "Hz",
         ),
     ] = "auto"
+    accuracy: Annotated[
+        Literal["reported", "configured"],
+        Doc(
+            "reported: the source's own sigma, where it reports one; configured: sigma_deg in its place."
+        ),
+    ] = "reported"
     sigma_deg: Annotated[float, Gt(0), Le(180), Doc("Heading noise, 1-sigma.", "deg")] = 3.0
     gate: Annotated[float, Gt(0), Le(100), Doc("Innovation gate, in sigmas.")] = 5.0
     from_motion: Annotated[

@@ -50,11 +50,11 @@ class AidingStatistics:
             events = [event for event in self._pending if len(event.innovation) == m]
             if events:
                 innovation = np.array([event.innovation for event in events])
-                sigma = np.array([event.sigma for event in events])
+                S = np.array([event.S for event in events])
                 R = np.array([event.measurement.R for event in events])
-                noise = np.diagonal(R, axis1=1, axis2=2)
+                expected, noise = (np.diagonal(C, axis1=1, axis2=2) for C in (S, R))
                 self._squares[0, :m] += (innovation**2).sum(axis=0)
-                self._squares[1, :m] += (sigma**2).sum(axis=0)
+                self._squares[1, :m] += expected.sum(axis=0)
                 self._squares[2, :m] += noise.sum(axis=0)
                 self._counts[:m] += len(events)
         self._pending.clear()

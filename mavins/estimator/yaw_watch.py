@@ -51,5 +51,5 @@ class YawWatch:
         fix = HeadingFix(state.t_us, seen.yaw, seen.sigma, "motion")
         m = heading.measure(fix, state.t_us, frame, seen.sigma, SIGMAS)
         event = Event(m, (state.t_us, m.rank, m.source, 0), "yaw reset")
-        event.nis, event.innovation, event.sigma = algorithm.update(state, m, -1.0)
+        event.nis, event.innovation, event.S = algorithm.update(state, m, -1.0)
         return event if event.nis > SIGMAS**2 else None

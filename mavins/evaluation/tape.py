@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -72,6 +75,52 @@ class Tape:
         found = [what for name, what in self.feeds if name == "feed_gnss"]
         places = np.array([(fix.lat, fix.lon, fix.alt) for fix in found]).reshape(-1, 3)
         return np.array([fix.t_us for fix in found], dtype=np.int64), places
+
+    def until(self, t_us: int) -> Tape:
+        """What came before the first IMU sample after t_us."""
+        late = (
+            k
+            for k, (name, what) in enumerate(self.feeds)
+            if name == "feed_imu" and int(what.t_us[0]) > t_us
+        )
+        return self._with(self.feeds[: next(late, len(self.feeds))])
+
+    def without_changes(self) -> Tape:
+        """The same with the settings of the beginning throughout."""
+        return self._with([feed for feed in self.feeds if feed[0] != "reconfigure"])
+
+    def thinned(self, every: Mapping[str, int], from_us: int) -> Tape:
+        """The same with every n-th alone of what is fed by a name, from a stamp on."""
+        seen: Counter[str] = Counter()
+        kept = []
+        for feed in self.feeds:
+            name, what = feed
+            if name in every and what.t_us >= from_us:
+                seen[name] += 1
+                if seen[name] % every[name]:
+                    continue
+            kept.append(feed)
+        return self._with(kept)
+
+    def delay(self) -> float:
+        """The delay (s) that fixes come with, their median; 0 without fixes."""
+        delays = [what.delay for name, what in self.feeds if name == "feed_gnss"]
+        return float(np.median(delays)) if delays else 0.0
+
+    def delayed(self, delay: float) -> Tape:
+        """The same with fixes that are this old (s) at their stamps; what they differ among each other stays."""
+        later = delay - self.delay()
+        return self._with(
+            [
+                (name, replace(what, delay=what.delay + later) if name == "feed_gnss" else what)
+                for name, what in self.feeds
+            ]
+        )
+
+    def _with(self, feeds: list[tuple[str, Any]]) -> Tape:
+        other = Tape(self.settings)
+        other.feeds = feeds
+        return other
 
     def play(self, estimator: Estimator) -> None:
         """Feed all of it, and finish."""

@@ -69,7 +69,7 @@ def fuse_fix(
             H[k, CANONICAL_SIZE + k] = 1.0
             for j in range(CANONICAL_SIZE):
                 H[k, j] = H_part[i, j]
-    return fuse(x, P, r, H, np.eye(m) * (WHITE * WHITE), columns, np.inf, np.empty(m))
+    return fuse(x, P, r, H, np.eye(m) * (WHITE * WHITE), columns, np.inf, np.empty((m, m)))
 
 
 @kernel
@@ -89,7 +89,7 @@ def fuse_standing(
     for i in range(3):
         for j in range(CANONICAL_SIZE):
             H[i, j] = H_part[i, j]
-    fuse(x, P, r, H, np.eye(3) * (sigma * sigma), columns, np.inf, np.empty(3))
+    fuse(x, P, r, H, np.eye(3) * (sigma * sigma), columns, np.inf, np.empty((3, 3)))
 
 
 @kernel

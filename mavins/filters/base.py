@@ -15,6 +15,12 @@ from mavins.types import FloatArray, IntArray
 _NOTHING: Final = np.empty((0, 0))
 
 
+def sigmas_of(S: FloatArray) -> FloatArray:
+    """sqrt(diag S) (m,) of a covariance S (m, m); nan where that is not a positive number."""
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.sqrt(np.diagonal(S)), dtype=np.float64)
+
+
 @dataclass(slots=True)
 class FilterState:
     """A filter's whole memory: nominal `x` (26,), covariance `P` (n, n), last IMU reading `u` (6,), time `t_us`.
@@ -99,11 +105,16 @@ class Observation(Protocol):
 
 
 class Outcome(NamedTuple):
-    """What has become of a measurement: its NIS, the innovation (m,) and sqrt(diag S) (m,), both before the update."""
+    """What has become of a measurement: its NIS, the innovation (m,) and its covariance S (m, m), before the update."""
 
     nis: float
     innovation: FloatArray
-    sigma: FloatArray
+    S: FloatArray
+
+    @property
+    def sigma(self) -> FloatArray:
+        """sqrt(diag S) (m,), nan where S is not positive."""
+        return sigmas_of(self.S)
 
 
 class Filter(Protocol):

@@ -104,11 +104,11 @@ def fuse(
     R: FloatArray,
     columns: IntArray,
     gate: float,
-    sigma: FloatArray,
+    S: FloatArray,
 ) -> float:
     """Gated update of P, feedback of the correction into x, reset of the attitude error; returns the NIS."""
     d = np.empty(P.shape[0])
-    nis = gated_update(P, r, H, R, columns, gate, d, sigma)
+    nis = gated_update(P, r, H, R, columns, gate, d, S)
     if nis <= gate:
         boxplus(x, d, columns)
         reset_attitude_error(P, d[6:9])
@@ -167,6 +167,6 @@ class Eskf:
     def update(self, state: FilterState, observation: Observation, gate: float) -> Outcome:
         """Fuse a measurement."""
         r, H = observation.linearize(state.x, state.u)
-        sigma = np.empty(len(r))
-        nis = fuse(state.x, state.P, r, H, observation.R, self.layout.columns, gate, sigma)
-        return Outcome(nis, r, sigma)
+        S = np.empty((len(r), len(r)))
+        nis = fuse(state.x, state.P, r, H, observation.R, self.layout.columns, gate, S)
+        return Outcome(nis, r, S)

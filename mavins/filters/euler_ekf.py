@@ -222,7 +222,7 @@ def fuse(
     R: FloatArray,
     columns: IntArray,
     gate: float,
-    sigma: FloatArray,
+    S: FloatArray,
 ) -> float:
     """Gated update of P, the correction added to the angles and the rest of x; returns the NIS.
 
@@ -232,9 +232,9 @@ def fuse(
     d = np.empty(P.shape[0])
     euler = quat_to_euler(x[6:10])
     if is_singular(euler[1]):
-        gated_update(P, r, H, R, columns, -1.0, d, sigma)
+        gated_update(P, r, H, R, columns, -1.0, d, S)
         return math.nan
-    nis = gated_update(P, r, H, R, columns, gate, d, sigma)
+    nis = gated_update(P, r, H, R, columns, gate, d, S)
     if nis <= gate:
         M = np.empty((SPARE + 1, 3, 3))
         write_kinematics(M, E, trig((euler[0], euler[1], euler[2])))
@@ -308,6 +308,6 @@ class EulerEkf:
     def update(self, state: FilterState, observation: Observation, gate: float) -> Outcome:
         """Fuse a measurement."""
         r, H = observation.linearize(state.x, state.u)
-        sigma = np.empty(len(r))
-        nis = fuse(state.x, state.P, r, H, observation.R, self.layout.columns, gate, sigma)
-        return Outcome(nis, r, sigma)
+        S = np.empty((len(r), len(r)))
+        nis = fuse(state.x, state.P, r, H, observation.R, self.layout.columns, gate, S)
+        return Outcome(nis, r, S)

@@ -92,7 +92,7 @@ def gauss_newton(
     columns: IntArray,
     gate: float,
     A: FloatArray,
-    sigma: FloatArray,
+    S: FloatArray,
 ) -> tuple[float, float]:
     """One step of the search: s (n,) <- K (r + H G s), A (n, n) <- (I - K H G) P, for r, H and G at step(x0, s).
 
@@ -118,7 +118,7 @@ def gauss_newton(
     for i in range(n):
         for j in range(n):
             A[i, j] = P[i, j]
-    nis = gated_update(A, e, H_s, R, columns, gate, d, sigma)
+    nis = gated_update(A, e, H_s, R, columns, gate, d, S)
     longest = 0.0
     if nis <= gate:
         for i in range(n):
@@ -161,13 +161,11 @@ class Iterated(Eskf):
         r, H = observation.linearize(state.x, state.u)
         columns, R = self.layout.columns, observation.R
         if len(r) <= len(columns):
-            sigma = np.empty(len(r))
-            nis = self._search(
-                state, lambda x: (*observation.linearize(x, state.u), R), gate, sigma
-            )
-            return Outcome(nis, r, sigma)
+            S = np.empty((len(r), len(r)))
+            nis = self._search(state, lambda x: (*observation.linearize(x, state.u), R), gate, S)
+            return Outcome(nis, r, S)
         h = H[:, columns]
-        sigma = np.sqrt(np.einsum("ij,jk,ik->i", h, state.P, h) + np.diag(R))
+        S = h @ state.P @ h.T + R
         weights = np.linalg.inv(R)
 
         def accumulate(x: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -179,9 +177,7 @@ class Iterated(Eskf):
         rest = float(r @ weights @ r) - float(
             np.sum(compressed(*accumulate(state.x), columns)[0] ** 2)
         )
-        return Outcome(
-            self.update_streamed(state, accumulate, columns, gate - rest) + rest, r, sigma
-        )
+        return Outcome(self.update_streamed(state, accumulate, columns, gate - rest) + rest, r, S)
 
     def update_streamed(
         self, state: FilterState, accumulate: Accumulate, columns: IntArray, gate: float
@@ -194,19 +190,19 @@ class Iterated(Eskf):
         def rows(x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
             return compressed(*accumulate(x), columns)
 
-        return self._search(state, rows, gate, np.empty(len(columns)))
+        return self._search(state, rows, gate, np.empty((len(columns), len(columns))))
 
-    def _search(self, state: FilterState, rows: Rows, gate: float, sigma: FloatArray) -> float:
-        """Search from the predicted state; sigma (m,) <- sqrt(diag S) there. Returns the NIS there."""
+    def _search(self, state: FilterState, rows: Rows, gate: float, S: FloatArray) -> float:
+        """Search from the predicted state; S (m, m) <- the residuals' covariance there. Returns the NIS there."""
         x, P, columns = state.x, state.P, self.layout.columns
         s, A = np.zeros(len(P)), np.empty_like(P)
         G = np.zeros((BLOCKS + self.layout.has_gravity, 3, 3))
         G[J_L] = G[J_R] = G[J_S:] = np.eye(3)
-        nis, longest = gauss_newton(P, s, G, *rows(x), columns, gate, A, sigma)
+        nis, longest = gauss_newton(P, s, G, *rows(x), columns, gate, A, S)
         if not nis <= gate:
             return nis
         stepped = self._stepped(x, s, G)
-        scratch = np.empty_like(sigma)
+        scratch = np.empty_like(S)
         for _ in range(self._settings.iterations - 1):
             if longest <= self._settings.threshold:
                 break

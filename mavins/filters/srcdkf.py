@@ -168,21 +168,22 @@ def fuse(
     R: FloatArray,
     columns: IntArray,
     gate: float,
-    sigma: FloatArray,
+    covariance: FloatArray,
 ) -> float:
     """Gated update of x, P and S in place; returns the NIS.
 
     r (m,) is the residual at x, D (2 n, m) how far those of the sigma points are from it; r <- the innovation, which
-    the measurement's mean is taken for, sigma (m,) <- its sigmas. One array of deviations over state and measurement
-    holds it all: triangular in the measurement's columns it gives the innovation's root and the gain, and what is
-    left below is the state's root afterwards.
+    the measurement's mean is taken for, `covariance` (m, m) <- its covariance. One array of deviations over state and
+    measurement holds it all: triangular in the measurement's columns it gives the innovation's root and the gain, and
+    what is left below is the state's root afterwards.
     """
     n, m = S.shape[0], len(r)
     second, end = m + n, m + 2 * n
     M, t = deviations(end), np.empty(WIDTH)
     L = np.empty((m, m))
     for i in range(m):
-        sigma[i] = math.nan
+        for k in range(m):
+            covariance[i, k] = math.nan
     if not cholesky(L, R):
         return math.nan
     for i in range(m):
@@ -208,10 +209,11 @@ def fuse(
         y[k] = s / M[k, n + i]
         nis += y[k] * y[k]
     for i in range(m):
-        s = 0.0
-        for k in range(m - i):
-            s += M[k, n + i] * M[k, n + i]
-        sigma[i] = math.sqrt(s)
+        for j in range(i + 1):
+            s = 0.0
+            for k in range(m - i):
+                s += M[k, n + i] * M[k, n + j]
+            covariance[i, j] = covariance[j, i] = s
     if not nis <= gate:
         return nis
     d = np.zeros(n)
@@ -303,6 +305,6 @@ class Srcdkf:
         for j in self._tau:
             first = H * np.outer(state.own[:, j], J[:, TAU.start])
             D -= np.concatenate([first, -first])
-        innovation, sigma = r.copy(), np.empty(len(r))
-        nis = fuse(state.x, state.P, state.own, innovation, D, observation.R, columns, gate, sigma)
-        return Outcome(nis, innovation, sigma)
+        innovation, S = r.copy(), np.empty((len(r), len(r)))
+        nis = fuse(state.x, state.P, state.own, innovation, D, observation.R, columns, gate, S)
+        return Outcome(nis, innovation, S)

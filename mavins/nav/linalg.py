@@ -21,7 +21,7 @@ LANES = 8
 @kernel
 def cholesky(L: FloatArray, S: FloatArray) -> bool:
     """L <- the lower triangle of L L^T = S (m, m), its diagonal inverted; False where S is not positive definite."""
-    m = S.shape[0]
+    m = L.shape[0]
     for i in range(m):
         for j in range(i):
             s = S[i, j]
@@ -46,12 +46,12 @@ def gated_update(
     columns: IntArray,
     gate: float,
     d: FloatArray,
-    sigma: FloatArray,
+    S: FloatArray,
 ) -> float:
     """Update P (n, n) with m rows if their NIS is at most `gate`; returns the NIS, d (n,) <- the correction K r.
 
     r (m,) is the residual z - h(x), H (m, 25) its Jacobian over the canonical errors, of which the layout's
-    `columns` are taken, R (m, m) the noise covariance; sigma (m,) <- sqrt(diag S), what the residuals should look like.
+    `columns` are taken, R (m, m) the noise covariance; S (m, m) <- the residuals' covariance.
     A NIS above the gate, or nan where R, S or the updated P is not positive definite, means that P was left as it was
     and d must not be used.
 
@@ -63,8 +63,8 @@ def gated_update(
     # one array and views of it: a small allocation costs as much as a matrix product here
     rows = np.zeros((3 * m + n, p))
     W, K, B, A = rows[:m], rows[m : 2 * m], rows[2 * m : 3 * m], rows[3 * m :]
-    small = np.empty((2 * m + 1, m))
-    S, L, y = small[:m], small[m : 2 * m], small[2 * m]
+    small = np.empty((m + 1, m))
+    L, y = small[:m], small[m]
     for j in range(n):
         for a in range(n):
             A[j, a] = P[j, a]
@@ -84,7 +84,6 @@ def gated_update(
                 s += K[i, j] * W[k, j]
             S[i, k] = s
             S[k, i] = s
-        sigma[i] = math.sqrt(S[i, i]) if S[i, i] > 0.0 else math.nan
     if not (cholesky(L, R) and cholesky(L, S)):
         return math.nan
     nis = 0.0

@@ -69,12 +69,12 @@ def updates(
 ) -> float:
     """Position and velocity at once: six rows, gated, fed back and reset."""
     residuals = 0.01 * (np.arange(48.0).reshape(8, 6) % 7.0 - 3.0)
-    sigma = np.empty(6)
+    S = np.empty((6, 6))
     total = 0.0
     for k in range(n):
         if k % 50 == 0:
             P[:, :] = prior
-        total += fuse(x, P, residuals[k & 7], H, R, columns, gate, sigma)
+        total += fuse(x, P, residuals[k & 7], H, R, columns, gate, S)
     return total
 
 

@@ -63,7 +63,7 @@ def decision(t_us: int, reason: str = "", rows: int = 2, nis: float = 1.5) -> Ev
     )  # type: ignore[arg-type]
     event = Event(measurement, (t_us, 1, "GPS_RAW_INT", 0), reason, nis)
     event.innovation = np.arange(1.0, rows + 1.0)
-    event.sigma = np.full(rows, 0.5)
+    event.S = 0.25 * np.eye(rows)
     return event
 
 

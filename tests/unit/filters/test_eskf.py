@@ -169,12 +169,10 @@ def test_a_correction_goes_into_the_state_and_the_error_is_zero_again() -> None:
     algorithm, state = filter_of(NOISE), standing()
     state.P[6:9, 0:3] = state.P[0:3, 6:9] = 0.03 * np.eye(3)
     z = np.array([1.0, 0.0, 0.0])
-    nis, innovation, sigma = algorithm.update(
-        state, observation(gnss_position, z, np.eye(3)), 100.0
-    )
+    nis, innovation, S = algorithm.update(state, observation(gnss_position, z, np.eye(3)), 100.0)
     assert_array_equal(innovation, z)
     assert nis == pytest.approx(0.5)
-    assert_allclose(sigma, math.sqrt(2.0))
+    assert_allclose(S, 2.0 * np.eye(3), atol=1e-12)
     assert_allclose(state.x[:3], [0.5, 0, 0], atol=1e-12)
     # theta = 0.015 rad about x
     assert state.x[7] == pytest.approx(math.sin(0.0075))

@@ -108,7 +108,14 @@ def test_corrections_are_added_to_the_angles() -> None:
     own = np.linalg.inv(T) @ before.P @ np.linalg.inv(T).T
     d, columns = np.empty(15), Layout.of().columns
     gated_update(
-        own, r, np.pad(H[:, :15] @ T, ((0, 0), (0, 4))), measurement.R, columns, 1e9, d, np.empty(3)
+        own,
+        r,
+        np.pad(H[:, :15] @ T, ((0, 0), (0, 4))),
+        measurement.R,
+        columns,
+        1e9,
+        d,
+        np.empty((3, 3)),
     )
     after = quat_to_euler(state.x[6:10])
     assert_allclose(after, angles + d[6:9], atol=1e-12)

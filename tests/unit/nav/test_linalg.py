@@ -34,7 +34,7 @@ def updated(
     P: FloatArray, r: FloatArray, H: FloatArray, R: FloatArray, columns: np.ndarray, gate: float
 ) -> tuple[float, FloatArray]:
     d = np.empty(len(columns))
-    return gated_update(P, r, H, R, columns, gate, d, np.empty(len(r))), d
+    return gated_update(P, r, H, R, columns, gate, d, np.empty((len(r), len(r)))), d
 
 
 @pytest.mark.parametrize("columns", [CORE_COLUMNS, ALL_COLUMNS], ids=["15", "25"])
@@ -116,13 +116,12 @@ def test_an_exact_measurement_of_a_vague_state() -> None:
 
 
 @pytest.mark.parametrize("gate", [0.0, math.inf])
-def test_sigmas_of_the_innovation(gate: float) -> None:
+def test_covariance_of_the_innovation(gate: float) -> None:
     P, r, H, R = problem(4, 3, CORE_COLUMNS)
     h = H[:, CORE_COLUMNS]
-    expected = np.sqrt(np.diag(h @ P @ h.T + R))
-    sigma = np.empty(3)
-    gated_update(P, r, H, R, CORE_COLUMNS, gate, np.empty(15), sigma)
-    assert_allclose(sigma, expected, rtol=1e-12)
+    expected, S = h @ P @ h.T + R, np.empty((3, 3))
+    gated_update(P, r, H, R, CORE_COLUMNS, gate, np.empty(15), S)
+    assert_allclose(S, expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize("size", [15, 25])
