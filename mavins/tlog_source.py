@@ -17,7 +17,6 @@ from mavins.estimator.estimator import Estimator
 from mavins.estimator.feed import Feed
 from mavins.logs.sensor_log import DEFAULT, Choice, chosen
 from mavins.logs.tlog import Tlog
-from mavins.logs.truth import Truth
 from mavins.mavlink.codec import IMU_KINDS, Frames, OriginRequest, decode
 from mavins.mavlink.commands import (
     COMMAND_INT,
@@ -89,7 +88,7 @@ class TlogSource:
         self.seconds = (last_us - first_us) * 1e-6
         self.damage = dict(survey.damage)
         self.truth = survey.truth
-        self.reference: Truth | None = None
+        self.reference = survey.reference
 
     def feed(self, estimator: Feed, progress: Callable[[float], None]) -> None:
         """The vehicle's packets through an intake."""

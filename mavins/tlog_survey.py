@@ -13,6 +13,7 @@ from mavins.mavlink.codec import IMU_KINDS, Frames
 from mavins.mavlink.identity import identity_for
 from mavins.mavlink.peers import Identity
 from mavins.mavlink.settings import SessionSettings
+from mavins.tlog_reference import AutopilotReference
 
 
 class Survey:
@@ -20,7 +21,7 @@ class Survey:
 
     `vehicle` is the wanted system, or the first that sends an IMU; `identity` the ids under which a live session,
     seeing these packets, speaks about it; `t_us` when the first and the last packet came; `imu_messages` what IMU
-    messages each system sends; `truth` is for evaluation.
+    messages each system sends; `truth` and `reference`, what the autopilot's own filter said, are for evaluation.
     """
 
     def __init__(self, settings: SessionSettings, wanted: int | None = None) -> None:
@@ -33,6 +34,7 @@ class Survey:
         self._ours: dict[int, Identity] = {}
         self._seen: set[int] = set()
         self._truth: list[Truth] = []
+        self._autopilot = AutopilotReference()
 
     @property
     def vehicle(self) -> int | None:
@@ -49,6 +51,11 @@ class Survey:
         """All of the simulator's truth about the vehicle."""
         return joined(self._truth)
 
+    @property
+    def reference(self) -> Truth | None:
+        """What the vehicle's autopilot said, if it has a filter."""
+        return self._autopilot.truth()
+
     def see(self, frames: Frames) -> None:
         """Look at a block."""
         for name in ("bad_crc", "unknown", "skipped_bytes", "truncated"):
@@ -59,7 +66,10 @@ class Survey:
         self.t_us = (first_us, int(frames.t_us[-1]))
         self._meet(frames)
         vehicle = self.vehicle
-        truth = None if vehicle is None else truth_of(frames, vehicle)
+        if vehicle is None:
+            return
+        self._autopilot.see(frames, vehicle)
+        truth = truth_of(frames, vehicle)
         if truth is not None:
             self._truth.append(truth)
 

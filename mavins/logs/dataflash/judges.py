@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from mavins.logs.dataflash.channels import Channel, Reading
-from mavins.logs.truth import Truth
+from mavins.logs.truth import Truth, quats_of
 from mavins.types import FloatArray, IntArray
 
 _SPHERE: Final = 6378100.0
@@ -152,17 +152,8 @@ def _home(
 
 
 def _quat(euler: FloatArray) -> FloatArray:
-    """Unit quaternions (N, 4), scalar first, of roll, pitch, yaw in degrees (N, 3 or more)."""
-    half = np.radians(euler[:, :3]) * 0.5
-    (cr, cp, cy), (sr, sp, sy) = np.cos(half).T, np.sin(half).T
-    return np.column_stack(
-        [
-            cr * cp * cy + sr * sp * sy,
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-        ]
-    )
+    """Unit quaternions (N, 4) of roll, pitch, yaw in degrees (N, 3 or more)."""
+    return quats_of(np.radians(euler[:, :3]))
 
 
 def _between(at_us: IntArray, t_us: IntArray, q: FloatArray) -> FloatArray:
