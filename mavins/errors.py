@@ -17,6 +17,10 @@ class LogFormatError(MavinsError):
     """A log cannot be read as what it claims to be."""
 
 
+class NotALogError(LogFormatError):
+    """A file holds nothing of a log."""
+
+
 class TransportError(MavinsError):
     """A socket, port or file that bytes should pass through cannot be opened or used."""
 

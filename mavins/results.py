@@ -10,7 +10,7 @@ import json
 import math
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Final
@@ -30,7 +30,8 @@ from mavins.types import FloatArray, IntArray
 ESTIMATES: Final = (
     "t_us,lat_deg,lon_deg,alt_m,p_n,p_e,p_d,v_n,v_e,v_d,roll,pitch,yaw,q_w,q_x,q_y,q_z,"
     "sd_p_n,sd_p_e,sd_p_d,sd_v_n,sd_v_e,sd_v_d,sd_roll,sd_pitch,sd_yaw,"
-    "b_g_x,b_g_y,b_g_z,b_a_x,b_a_y,b_a_z"
+    "b_g_x,b_g_y,b_g_z,b_a_x,b_a_y,b_a_z,"
+    "sd_b_g_x,sd_b_g_y,sd_b_g_z,sd_b_a_x,sd_b_a_y,sd_b_a_z"
 )
 EXTRA: Final = {
     "l_b": "l_b_x,l_b_y,l_b_z,sd_l_b_x,sd_l_b_y,sd_l_b_z",
@@ -44,34 +45,63 @@ INNOVATIONS: Final = (
     "t_us,stamp_us,aiding,source,accepted,reason,nis,"
     "innovation_0,innovation_1,innovation_2,sigma_0,sigma_1,sigma_2"
 )
-_DECIMALS: Final = np.array([10, 10, 4] + [6] * 6 + [9] * 7 + [6] * 6 + [9] * 9, dtype=np.int64)
+SUMMARY: Final = "summary.json"
+"""Written last: a folder that has it is whole."""
+REPORT: Final = "report.html"
+FILES: Final = (
+    "estimates.csv",
+    "innovations.csv",
+    "smoothed.csv",
+    "evidence.npz",
+    "config.yaml",
+)
+"""What there may be in a filter's folder, exports aside."""
+_DECIMALS: Final = np.array([10, 10, 4] + [6] * 6 + [9] * 7 + [6] * 6 + [9] * 15, dtype=np.int64)
 """Of each column after t_us: lat and lon in degrees to 10 um, metres and m/s to a millionth, angles to a nanoradian."""
 _HEAD: Final = "%d,%d,%s,%s,%d,%s,%.9g"
 _DECISION: Final = [_HEAD + 2 * (",%.9g" * m + "," * (3 - m)) + "\n" for m in range(4)]
 """The line of a decision on so many rows; what is not known stays empty."""
+BIAS_SIGMAS: Final = slice(WIDTH, WIDTH + 6)
+"""Where a table has the sigmas of b_g and b_a."""
 _LINES_HELD: Final = 256
 _DEGREES: Final = 180.0 / math.pi
+
+
+def further(layout: Layout) -> dict[str, tuple[slice, slice]]:
+    """Where a table has the values and the sigmas of the states beyond 15."""
+    places, begin = {}, BIAS_SIGMAS.stop
+    for name in EXTRA:
+        if name in layout.blocks:
+            n = BLOCKS[name].stop - BLOCKS[name].start
+            places[name] = (slice(begin, begin + n), slice(begin + n, begin + 2 * n))
+            begin += 2 * n
+    return places
+
+
+def table_of(block: RowBlock, frame: TangentFrame, layout: Layout) -> FloatArray:
+    """A block's estimates as a table (N, 37 + k): described rows, the biases' sigmas, then the further states."""
+    n = block.count
+    rows = np.empty((n, WIDTH))
+    describe(block.x[:n], block.P[:n], frame.r0_e, frame.C_ne, rows)
+    sigmas = layout.sigmas(block.P[:n])
+    parts = [rows, sigmas[:, BLOCKS["b_g"]], sigmas[:, BLOCKS["b_a"]]]
+    for name in further(layout):
+        columns = BLOCKS[name]
+        parts += [block.x[:n, columns.start + 1 : columns.stop + 1], sigmas[:, columns]]
+    return np.hstack(parts)
 
 
 class EstimatesFile:
     """A CSV file of estimates, over the states of a layout."""
 
     def __init__(self, path: Path, layout: Layout) -> None:
-        self._layout = layout
-        self._extra = [name for name in EXTRA if name in layout.blocks]
-        self.file = _open(path, ",".join([ESTIMATES, *(EXTRA[name] for name in self._extra)]))
-
-    def table(self, block: RowBlock, frame: TangentFrame) -> FloatArray:
-        """A block's estimates as a table (N, 31 + k): described rows, then the further states."""
-        rows = np.empty((block.count, WIDTH))
-        describe(block.x[: block.count], block.P[: block.count], frame.r0_e, frame.C_ne, rows)
-        return np.hstack([rows, self._further(block)])
+        self.file = _open(path, ",".join([ESTIMATES, *(EXTRA[name] for name in further(layout))]))
 
     def write(self, t_us: IntArray, table: FloatArray) -> None:
         """Write the rows of a table."""
         shown = table.copy()
         shown[:, :2] *= _DEGREES
-        decimals = np.append(_DECIMALS, np.full(table.shape[1] - WIDTH, 6))
+        decimals = np.append(_DECIMALS, np.full(table.shape[1] - len(_DECIMALS), 6))
         with _or_say_so(self.file):
             self.file.write(csv_lines(t_us, shown, decimals).decode("ascii"))
 
@@ -80,62 +110,34 @@ class EstimatesFile:
         with _or_say_so(self.file):
             self.file.close()
 
-    def _further(self, block: RowBlock) -> FloatArray:
-        """The columns of further states (N, k): values, then sigmas, for each block in turn."""
-        n = block.count
-        parts = [np.empty((n, 0))]
-        if self._extra:
-            sigmas = self._layout.sigmas(block.P[:n])
-            for name in self._extra:
-                columns = BLOCKS[name]
-                parts += [
-                    block.x[:n, columns.start + 1 : columns.stop + 1],
-                    sigmas[:, columns],
-                ]
-        return np.hstack(parts)
-
 
 class ResultWriter:
-    """Writes rows and decisions as they come; with `keep`, `table` gives the rows back."""
+    """Writes rows and decisions as they come."""
 
-    def __init__(self, folder: Path, layout: Layout, keep: bool = False) -> None:
+    def __init__(self, folder: Path, layout: Layout) -> None:
+        self._layout = layout
         self._estimates = EstimatesFile(folder / "estimates.csv", layout)
         self._innovations = _open(folder / "innovations.csv", INNOVATIONS)
         self._lines: list[str] = []
-        self._keep = keep
-        self._kept: list[tuple[IntArray, FloatArray]] = []
         self.rows = 0
-        self.bounds_us: tuple[int, int] | None = None
 
     def write_rows(self, block: RowBlock, frame: TangentFrame) -> None:
-        """Write the estimates of a block that lie within the bounds."""
-        t_us = block.t_us[: block.count].copy()
-        table = self._estimates.table(block, frame)
-        if self.bounds_us is not None:
-            inside = (t_us >= self.bounds_us[0]) & (t_us <= self.bounds_us[1])
-            t_us, table = t_us[inside], table[inside]
+        """Write the estimates of a block."""
+        self.write_table(block.t_us[: block.count], table_of(block, frame, self._layout))
+
+    def write_table(self, t_us: IntArray, table: FloatArray) -> None:
+        """Write the rows (N, 37 + k) of `table_of`."""
         self.rows += len(t_us)
-        if self._keep and len(t_us):
-            self._kept.append((t_us, table[:, :WIDTH].copy()))
         self._estimates.write(t_us, table)
 
     def write_decision(self, event: Event) -> None:
         """Write the final decision on a measurement."""
         m = event.measurement
-        if self.bounds_us is not None and not self.bounds_us[0] <= m.t_us <= self.bounds_us[1]:
-            return
         r, sigma = event.innovation.tolist(), event.sigma.tolist()
         head = (m.t_us, m.stamp_us, m.aiding, m.source, event.accepted, event.reason, event.nis)
         self._lines.append(_DECISION[len(r)] % (*head, *r, *sigma))
         if len(self._lines) >= _LINES_HELD:
             self._write_lines()
-
-    def table(self) -> tuple[IntArray, FloatArray]:
-        """All rows written so far as (t_us (N,), rows (N, 31)), where they were kept."""
-        if not self._kept:
-            return np.empty(0, dtype=np.int64), np.empty((0, WIDTH))
-        times, rows = zip(*self._kept, strict=True)
-        return np.concatenate(times), np.concatenate(rows)
 
     def _write_lines(self) -> None:
         if not self._lines:
@@ -215,6 +217,9 @@ def write_text(path: Path, text: str) -> None:
         raise OutputError(
             f"cannot write {path}: {error.strerror}; choose another --out folder"
         ) from error
+    finally:
+        with suppress(OSError):
+            aside.unlink(missing_ok=True)
 
 
 def write_json(path: Path, content: dict[str, Any]) -> None:

@@ -26,8 +26,8 @@ from mavins.mavlink.stream_buffer import StreamBuffer
 from mavins.mavlink.vehicle import Vehicle
 from mavins.outcome import summarize
 from mavins.parameters import ConfigStore, file_keeper
-from mavins.replay import grid_us
 from mavins.results import ResultWriter, check_folder, write_json, write_text
+from mavins.runs import grid_us
 from mavins.signing_store import Signing
 from mavins.snapshot import aiding_status, estimate_status
 from mavins.status import StatusSnapshot, VehicleStatus

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Protocol
 
@@ -18,6 +19,8 @@ from mavins.logs.content import kind_of
 from mavins.logs.feeding import feed_log, settled
 from mavins.logs.sensor_log import DEFAULT, Choice, SensorLog
 from mavins.logs.truth import Truth
+from mavins.mavlink.identity import identity_for
+from mavins.mavlink.peers import Identity
 from mavins.outcome import outcome_of
 from mavins.tlog_source import TlogSource
 from mavins.types import ImuTable
@@ -49,6 +52,12 @@ class Source(Protocol):
     def feed(self, estimator: Feed, progress: Callable[[float], None]) -> None:
         """All of the log into an estimator."""
 
+    def speaker(self) -> tuple[int, Identity]:
+        """The vehicle's sysid, and under which ids a service speaks about it."""
+
+    def received_us(self, t_us: int) -> int:
+        """When a service would have had the sample of an instant; since boot where the log tells no other clock."""
+
     def summary(self, estimator: Estimator) -> dict[str, Any]:
         """What was fed, and what the estimator made of it."""
 
@@ -72,11 +81,20 @@ class SensorSource:
         """All tables, merged by their stamps."""
         feed_log(self._log, estimator, self.config, progress)
 
+    def speaker(self) -> tuple[int, Identity]:
+        """Such logs have no sysid: it is vehicle 1."""
+        return 1, identity_for(1, self.config.mavlink, (), ())
+
+    def received_us(self, t_us: int) -> int:
+        """At the instant itself."""
+        return t_us
+
     def summary(self, estimator: Estimator) -> dict[str, Any]:
         """What the tables hold, and what the estimator made of it."""
         log, counts = self._log, self._log.counts
         return {
             "imu": {"message": log.names["imu"], "id": 0},
+            "sources": dict(log.names),
             "messages": counts,
             "rates_hz": {name: n / max(self.seconds, 1e-6) for name, n in counts.items()},
             "dropped": {k: v for k, v in (log.dropped + estimator.dropped).items() if v},
@@ -84,14 +102,44 @@ class SensorSource:
         }
 
 
+@dataclass(frozen=True, slots=True)
+class Log:
+    """A log of any kind, to be run as often as one likes.
+
+    `kind` as its content tells, `sysid` the vehicle of a telemetry log (None: the first that sends an IMU), `choice`
+    which of its sources are used. `sensors` are its tables; None for telemetry, which goes through the same intake as
+    live.
+    """
+
+    path: Path
+    kind: str
+    sysid: int | None
+    choice: Choice
+    sensors: SensorLog | None
+
+    def source(self, config: Config) -> Source:
+        """The log as a source, with a configuration."""
+        if self.sensors is None:
+            return TlogSource(self.path, config, self.sysid, self.choice)
+        return SensorSource(self.sensors, config)
+
+
+def open_log(path: Path | str, sysid: int | None = None, choice: Choice = DEFAULT) -> Log:
+    """The log that a path is, by its content, never by its name.
+
+    LogFormatError for what is not a log, or lacks what was chosen.
+    """
+    path = Path(path)
+    kind = kind_of(path)
+    sensors = None if kind == "tlog" else read_sensors(path, kind, choice)
+    return Log(path, kind, sysid, choice, sensors)
+
+
 def source_of(
     log: Path, config: Config, sysid: int | None = None, choice: Choice = DEFAULT
 ) -> Source:
-    """The source that a path is, by its content; LogFormatError for what is not a log, or lacks what was chosen."""
-    kind = kind_of(log)
-    if kind == "tlog":
-        return TlogSource(log, config, sysid, choice)
-    return SensorSource(read_sensors(log, kind, choice), config)
+    """A log with a configuration, as `open_log` finds it."""
+    return open_log(log, sysid, choice).source(config)
 
 
 def read_sensors(log: Path, kind: str, choice: Choice = DEFAULT) -> SensorLog:

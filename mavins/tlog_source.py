@@ -27,6 +27,7 @@ from mavins.mavlink.commands import (
     carry_out,
     keep_parameters,
 )
+from mavins.mavlink.identity import identity_for
 from mavins.mavlink.intake import RELEVANT, Intake
 from mavins.mavlink.parameters import PARAM_SET, set_again
 from mavins.mavlink.peers import Identity
@@ -102,6 +103,15 @@ class TlogSource:
         progress(1.0)
         if intake.imu.chosen is None:
             raise LogFormatError(f"the log has no usable IMU messages of vehicle {self._sysid}")
+
+    def speaker(self) -> tuple[int, Identity]:
+        """The vehicle's sysid, and under which ids a service speaks about it."""
+        who = self._survey.identity or identity_for(self._sysid, self.config.mavlink, (), ())
+        return self._sysid, who
+
+    def received_us(self, t_us: int) -> int:
+        """When the sample of an instant came in, on the clock of who wrote the log."""
+        return t_us + self._intake.clock.lag_us
 
     def summary(self, estimator: Estimator) -> dict[str, Any]:
         """What the intake saw, and what the estimator made of it."""

@@ -7,10 +7,11 @@ memory. Stamps are whole microseconds since boot; the first are those of 1 s aft
 
 from __future__ import annotations
 
+import functools
 import heapq
 import itertools
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, Final, TypeAlias
 
@@ -100,6 +101,16 @@ class Simulation:
 
     def blocks(self) -> Iterator[Measurements]:
         """The measurements of one second after the other."""
+        return self.measured(*(stream(*which) for stream, which in _streams(self.scenario)))
+
+    def measured(
+        self,
+        motions: Iterable[Motion],
+        yaws: Iterable[FloatArray],
+        valid: Iterable[Kinematics],
+        states: Iterable[tuple[TrueState, ...]],
+    ) -> Iterator[Measurements]:
+        """What the sensors make of what is true, second after second."""
         scenario, trajectory = self.scenario, self.trajectory
         rng = np.random.Generator(np.random.PCG64(self.seed))
         imu = scenario.imu
@@ -107,50 +118,81 @@ class Simulation:
         accel = Triad(imu.accel, imu.rate, rng)
         compass = Compass(scenario.heading, rng)
         receiver = Receiver(scenario.gnss, trajectory.frame, trajectory.period, rng)
-        for second in itertools.count():
+        truths = zip(motions, yaws, valid, states, strict=True)
+        for second, (motion, yaw, at_fixes, true_states) in enumerate(truths):
             begin = START_US + second * BLOCK_US
-            t_us = _stamps(begin, imu.rate)
-            k = trajectory.at(_time(t_us))
-            w_b, f_b = self._ideal(k)
-            gyro_b, b_g = gyro.measure(w_b, rng)
-            accel_b, b_a = accel.measure(f_b, rng)
-            heading_us = _stamps(begin, scenario.heading.rate)
-            *_, q_lb = trajectory.local_level(trajectory.at(_time(heading_us)))
-            yaw = yaws_of(q_lb)
-            headings = compass.measure(heading_us, yaw, rng)
-            fix_us = _stamps(begin, scenario.gnss.rate)
-            valid = trajectory.at(_time(fix_us) - scenario.gnss.latency)
+            t_us, k = _stamps(begin, imu.rate), motion.k
+            gyro_b, b_g = gyro.measure(motion.w_b, rng)
+            accel_b, b_a = accel.measure(motion.f_b, rng)
             yield Measurements(
                 ImuTable(t_us, accel_b, gyro_b),
                 TruthTable(t_us, k.p_n, k.v_n, k.q_nb, b_g, b_a),
-                headings,
-                receiver.measure(fix_us, valid, rng),
-                self._states(_stamps(begin, scenario.truth_rate)),
+                compass.measure(_stamps(begin, scenario.heading.rate), yaw, rng),
+                receiver.measure(_stamps(begin, scenario.gnss.rate), at_fixes, rng),
+                true_states,
             )
 
-    def _ideal(self, k: Kinematics) -> tuple[FloatArray, FloatArray]:
-        """What the ideal IMU reads: values at the stamps, or means over the intervals before."""
-        imu = self.scenario.imu
-        if not imu.integrate:
-            return self.trajectory.inertial(k)
-        dtheta, dv = self.trajectory.increments(k.t - 1.0 / imu.rate, 1.0 / imu.rate)
-        return dtheta * imu.rate, dv * imu.rate
 
-    def _states(self, t_us: IntArray) -> tuple[TrueState, ...]:
-        k = self.trajectory.at(_time(t_us))
-        w_b, f_b = self.trajectory.inertial(k)
-        columns = (t_us, *self.trajectory.local_level(k))
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """A second of true motion at the IMU's stamps, and what an ideal one reads: w_b, f_b (N, 3)."""
+
+    k: Kinematics
+    w_b: FloatArray
+    f_b: FloatArray
+
+
+def _motions(trajectory: Trajectory, rate: int, integrate: bool) -> Iterator[Motion]:
+    """At the IMU's stamps; the readings are values there, or means over the intervals before."""
+    for begin in itertools.count(START_US, BLOCK_US):
+        k = trajectory.at(_time(_stamps(begin, rate)))
+        if integrate:
+            dtheta, dv = trajectory.increments(k.t - 1.0 / rate, 1.0 / rate)
+            yield Motion(k, dtheta * rate, dv * rate)
+        else:
+            yield Motion(k, *trajectory.inertial(k))
+
+
+def _yaws(trajectory: Trajectory, rate: int) -> Iterator[FloatArray]:
+    for begin in itertools.count(START_US, BLOCK_US):
+        *_, q_lb = trajectory.local_level(trajectory.at(_time(_stamps(begin, rate))))
+        yield yaws_of(q_lb)
+
+
+def _at_fixes(trajectory: Trajectory, rate: int, latency: float) -> Iterator[Kinematics]:
+    for begin in itertools.count(START_US, BLOCK_US):
+        yield trajectory.at(_time(_stamps(begin, rate)) - latency)
+
+
+def _states(trajectory: Trajectory, rate: int) -> Iterator[tuple[TrueState, ...]]:
+    for begin in itertools.count(START_US, BLOCK_US):
+        t_us = _stamps(begin, rate)
+        k = trajectory.at(_time(t_us))
+        w_b, f_b = trajectory.inertial(k)
+        columns = (t_us, *trajectory.local_level(k))
         samples = (
             TruthSample(t, lat, lon, alt, tuple(v_l), tuple(q_lb))
             for t, (lat, lon, alt), v_l, q_lb in zip(*(c.tolist() for c in columns), strict=True)
         )
-        return tuple(map(TrueState, samples, f_b, w_b))
+        yield tuple(map(TrueState, samples, f_b, w_b))
+
+
+def _streams(scenario: Scenario) -> list[tuple[Callable[..., Iterator[Any]], tuple[Any, ...]]]:
+    """What is true at the instants of each sensor, without end, and what that depends on: no seed."""
+    trajectory, s = scenario.trajectory(), scenario
+    return [
+        (_motions, (trajectory, s.imu.rate, s.imu.integrate)),
+        (_yaws, (trajectory, s.heading.rate)),
+        (_at_fixes, (trajectory, s.gnss.rate, s.gnss.latency)),
+        (_states, (trajectory, s.truth_rate)),
+    ]
 
 
 def simulate(scenario: Scenario, seed: int, duration: float) -> Measurements:
-    """What the stream of this seed holds in its first `duration` s."""
+    """What the stream of this seed holds in its first `duration` s; other seeds of the scenario then take less time."""
     n_blocks = math.ceil(duration * 1e6 / BLOCK_US)
-    blocks = list(itertools.islice(Simulation(scenario, seed).blocks(), n_blocks))
+    known = [_known(stream, which, n_blocks) for stream, which in _streams(scenario)]
+    blocks = list(Simulation(scenario, seed).measured(*known))
     if not blocks:
         raise ValueError("the duration must be positive")
     end_us = START_US + round(duration * 1e6)
@@ -163,6 +205,12 @@ def simulate(scenario: Scenario, seed: int, duration: float) -> Measurements:
         tuple(x for b in blocks for x in b.fixes if x.t_us < end_us),
         tuple(x for b in blocks for x in b.states if x.sample.t_us < end_us),
     )
+
+
+@functools.lru_cache(maxsize=8)
+def _known(stream: Callable[..., Iterator[Any]], which: tuple[Any, ...], n: int) -> tuple[Any, ...]:
+    """The first n seconds of a stream: of two scenarios, all of theirs."""
+    return tuple(itertools.islice(stream(*which), n))
 
 
 def _joined(tables: Iterable[object], name: str) -> NDArray[Any]:

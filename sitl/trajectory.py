@@ -83,7 +83,7 @@ class Kinematics:
     w_nb_b: FloatArray
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Trajectory:
     """A periodic motion in the tangent frame `frame`; `period` in s is a whole number."""
 

@@ -22,7 +22,7 @@ hypothesis.settings.load_profile(
 
 REQUIRED = os.environ.get("MAVINS_REQUIRE_SHARED") == "1"
 
-_WANTING = ("shared", "client", "mavsdk")
+_WANTING = ("shared", "client", "mavsdk", "chromium")
 """Words in the reason of a skip that tell that something from outside the repository is missing."""
 
 

@@ -72,6 +72,7 @@ def run(args: argparse.Namespace) -> int:
     from mavins.evaluation.compare import together
     from mavins.evaluation.compare_table import table_lines
     from mavins.results import check_folder, write_json
+    from mavins.whole_folder import written_whole
 
     filters = filters_of(args.filters)
     if args.seeds < 1:
@@ -103,17 +104,18 @@ def run(args: argparse.Namespace) -> int:
     figures = {name: together(found) for name, found in runs.items()}
     if not quiet:
         print("\n".join(table_lines(figures)))
-    write_json(
-        args.out / "compare.json",
-        {
-            "mavins": __version__,
-            "source": args.source,
-            "seeds": None if is_log(args.source) else args.seeds,
-            "units": {"pos": "m", "vel": "m/s", "att": "deg", "cpu_us": "us per IMU sample"},
-            "filters": figures,
-        },
-    )
-    drawing = draw(args.out, {name: found[0] for name, found in runs.items()}, drawn)
+    with written_whole(args.out, "compare.json", ["compare.png"]) as aside:
+        write_json(
+            aside / "compare.json",
+            {
+                "mavins": __version__,
+                "source": args.source,
+                "seeds": None if is_log(args.source) else args.seeds,
+                "units": {"pos": "m", "vel": "m/s", "att": "deg", "cpu_us": "us per IMU sample"},
+                "filters": figures,
+            },
+        )
+        drawing = draw(aside, {name: found[0] for name, found in runs.items()}, drawn)
     if not quiet:
         print(f"written to {args.out}{drawing}")
     return 0

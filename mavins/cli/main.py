@@ -27,7 +27,14 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     ),
     "sitl": ("mavins.cli.sitl", "fly the simulator: sensors and truth as MAVLink"),
     "replay": ("mavins.cli.replay", "run the estimator on a log"),
+    "report": ("mavins.cli.report", "make the report of a result folder again"),
+    "export": ("mavins.cli.export", "write a result folder in other formats"),
+    "diff": ("mavins.cli.diff", "compare two result folders"),
     "compare": ("mavins.cli.compare", "run several filters on the same samples"),
+    "montecarlo": (
+        "mavins.cli.montecarlo",
+        "fly a scenario many times, and judge the errors of all runs",
+    ),
     "observe": ("mavins.cli.observe", "which states a flight makes observable, and when"),
     "play": ("mavins.cli.play", "send a log's packets into a UDP port at their own pace"),
     "tune": (
@@ -44,9 +51,12 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
 """Name -> (module, one line for the overview)."""
 
 EXTRAS: Final = {
+    "distributed": "dask",
     "mavsdk": "acceptance",
     "matplotlib": "report",
-    "pyulog": "logs",
+    "plotly": "report",
+    "pyarrow": "export",
+    "foxglove": "export",
     "zstandard": "logs",
 }
 """Modules that come with an optional extra: import name -> the extra's name."""

@@ -70,6 +70,7 @@ def run(args: argparse.Namespace) -> int:
     from mavins.evaluation.observability_table import as_dict, table_lines
     from mavins.nav.layout import CORE, Layout
     from mavins.results import check_folder, write_json
+    from mavins.whole_folder import written_whole
 
     without = tuple(filter(None, args.without.split(",")))
     _check(args, without)
@@ -92,8 +93,9 @@ def run(args: argparse.Namespace) -> int:
     if not quiet:
         print("\n".join(table_lines(analysis)))
     head = {"mavins": __version__, "source": args.source, "without": list(without)}
-    write_json(args.out / "observability.json", head | as_dict(analysis))
-    drawing = draw(args.out, analysis)
+    with written_whole(args.out, "observability.json", ["observability.png"]) as aside:
+        write_json(aside / "observability.json", head | as_dict(analysis))
+        drawing = draw(aside, analysis)
     if not quiet:
         print(f"written to {args.out}{drawing}")
     return 0

@@ -4,16 +4,25 @@ from __future__ import annotations
 
 import argparse
 import math
+import shlex
+import sys
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from mavins.cli.campaign_options import add_worker_options, workers_of
 from mavins.cli.choosing import LOG_HELP, add_choice, choice_of
 from mavins.cli.progress import progress_bar
 from mavins.errors import ConfigError
 
+if TYPE_CHECKING:
+    from mavins.config import Config
+    from mavins.evaluation.result_folder import Result
+    from mavins.replay import ReplayOptions
+
 SUMMARY = """\
-Run a log through the same estimator as the live service. The whole log is filtered; --start and
---end bound what is written and judged."""
+Run a log, or every log of a folder, through the same estimator as the live service. A whole log is
+filtered; --start and --end bound what is written and judged."""
 
 EPILOG = """\
 examples:
@@ -23,9 +32,15 @@ examples:
   mavins replay flight.tlog --out result --smooth
   mavins replay flight/ --out result    a folder with imu.csv, gnss.csv, mag.csv, ... (.xz, .gz)
   mavins replay flight.ulg --out result --imu 1 --gnss sensor_gps.1
+  mavins replay flight.tlog --out result --export mcap,tlog
+  mavins replay flight.tlog --dry-run   what would be used
+  mavins replay archive/ --out results --jobs 4          every log of a folder and those below it
 
-writes: OUT/<filter>/estimates.csv, innovations.csv, config.yaml and OUT/summary.json;
-with --smooth also OUT/<filter>/smoothed.csv"""
+writes: OUT/<filter>/estimates.csv, innovations.csv, config.yaml, evidence.npz, OUT/summary.json
+and OUT/report.html; with --smooth also OUT/<filter>/smoothed.csv; other formats beside them (--export).
+All of it takes the place of an earlier result at once, at the end; other files in OUT stay.
+of a folder of logs: all this in OUT/<log>/, and archive.csv and archive.json over all; what is
+finished is not done again, and where a log could not be replayed the exit status is 1"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -34,10 +49,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "log",
         type=Path,
         metavar="LOG",
-        help=LOG_HELP,
+        help=f"{LOG_HELP}, or a folder of logs",
     )
     add_choice(parser)
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="the result folder")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="the result folder")
     parser.add_argument("--filter", metavar="NAME", help="the filter (default: the configured one)")
     parser.add_argument("--config", type=Path, metavar="FILE", help="settings in YAML")
     parser.add_argument("--start", type=float, metavar="S", help="boot time of the first row, s")
@@ -57,25 +72,108 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="also write smoothed.csv: estimates that know what came later (Rauch-Tung-Striebel)",
     )
+    parser.add_argument(
+        "--export",
+        default="usual",
+        metavar="FORMATS",
+        help="comma-separated: tum, kml, gpx, parquet, mcap, tlog; all; none (default: the first "
+        "three, and parquet with the extra 'export')",
+    )
+    parser.add_argument(
+        "--dry-run",
+        action="store_true",
+        help="read the log, say what would be used and written, and run nothing",
+    )
+    parser.add_argument(
+        "--no-report", action="store_true", help="write no report.html (mavins report makes it)"
+    )
+    add_worker_options(parser, "of a folder of logs: ")
 
 
 def run(args: argparse.Namespace) -> int:
     """Replay and print the summary."""
+    from mavins.campaign.archive import is_archive
     from mavins.config import load
+    from mavins.exports import REGISTRY, TLOG, formats_of
     from mavins.replay import ReplayOptions, replay
 
     _check_bounds(args.start, args.end, args.rate)
+    if args.out is None and not args.dry_run:
+        raise ConfigError("where to? give a result folder: --out DIR")
+    formats = formats_of(args.export, (*REGISTRY, TLOG))
 
     overrides = {} if args.filter is None else {"filter": args.filter}
     config = load(args.config, overrides)
     options = ReplayOptions(
-        args.start, args.end, args.rate, args.sysid, args.smooth, choice_of(args)
+        args.start,
+        args.end,
+        args.rate,
+        args.sysid,
+        args.smooth,
+        choice_of(args),
+        formats,
     )
+    if is_archive(args.log):
+        return _archive(args, config, options)
+    if args.jobs is not None or args.scheduler is not None:
+        raise ConfigError(f"--jobs and --scheduler are for a folder of logs, {args.log} is one log")
+    if args.dry_run:
+        from mavins.cli.dry_run import lines_of as plan_of
+
+        print("\n".join(plan_of(args.log, args.out, config, options)))
+        return 0
     with progress_bar(f"replay {args.log.name}", 1.0, quiet=args.verbosity < 0) as report:
-        summary = replay(args.log, args.out, config, options, report)
+        finish = None if args.no_report else partial(_report, args.out)
+        summary = replay(args.log, args.out, config, options, report, finish)
     if args.verbosity >= 0:
         print("\n".join(lines_of(summary, args.out)))
     return 0
+
+
+def _report(out: Path, result: Result) -> None:
+    """Write the report into the folder that is to take the place of `out`.
+
+    Without the extra, say how to get it: the results are whole without it.
+    """
+    try:
+        from mavins.report import write_report_of
+
+        write_report_of(result)
+    except ModuleNotFoundError as error:
+        if error.name is None or error.name.partition(".")[0] != "plotly":
+            raise
+        print(
+            "mavins: no report.html: plotly is not installed; install it with: "
+            "pip install 'mavins[report]', then: mavins report " + shlex.quote(str(out)),
+            file=sys.stderr,
+        )
+
+
+def _archive(args: argparse.Namespace, config: Config, options: ReplayOptions) -> int:
+    """Replay all logs of a folder, print the table over all; 1 where one could not be replayed."""
+    from mavins.campaign.archive import (
+        DONE,
+        FAILED,
+        finished,
+        jobs_of,
+        replay_archive,
+        table_lines,
+        write_archive,
+    )
+    from mavins.results import check_folder
+
+    workers, quiet = workers_of(args), args.verbosity < 0
+    jobs = jobs_of(args.log, args.out, config, options)
+    check_folder(args.out)
+    before = sum(finished(job) is not None for job in jobs)
+    with progress_bar(f"replay {args.log.name}", 1.0, quiet=quiet) as report:
+        replayed = replay_archive(jobs, workers, report)
+    write_archive(args.out, args.log, replayed)
+    if not quiet:
+        print("\n".join(table_lines(replayed)))
+        done = sum(one.status == DONE for one in replayed)
+        print(f"{done} of {len(jobs)} replayed ({before} of them before), written to {args.out}")
+    return int(any(one.status == FAILED for one in replayed))
 
 
 def _check_bounds(start: float | None, end: float | None, rate: float) -> None:

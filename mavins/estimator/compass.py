@@ -19,7 +19,7 @@ from mavins.nav.earth import TangentFrame
 from mavins.nav.so3 import euler_to_quat, quat_to_dcm
 from mavins.types import FloatArray, MagSample
 
-_SLACK: Final = 0.95
+SLACK: Final = 0.95
 """Stamps on a grid must not fall just short of the highest rate."""
 
 
@@ -39,7 +39,7 @@ class Compass:
             return None
         if (
             self._taken_us is not None
-            and abs(sample.t_us - self._taken_us) < _SLACK * 1e6 / self._settings.max_rate
+            and abs(sample.t_us - self._taken_us) < SLACK * 1e6 / self._settings.max_rate
         ):
             return None
         field_b = self._C_bs @ (sample.field - self._hard_iron)

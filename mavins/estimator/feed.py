@@ -39,3 +39,55 @@ class Feed(Protocol):
 
     def feed_baro(self, sample: BaroSample) -> None:
         """Take a barometer's reading."""
+
+
+class Relay:
+    """A `Feed` that hands everything on to another; a subclass looks at what it is after."""
+
+    def __init__(self, feed: Feed) -> None:
+        self.feed = feed
+
+    @property
+    def settings(self) -> Settings:
+        """Those of whom it stands in front of."""
+        return self.feed.settings
+
+    @settings.setter
+    def settings(self, settings: Settings) -> None:
+        self.feed.settings = settings
+
+    def set_origin(self, origin: Origin) -> None:
+        """Hand on an origin."""
+        self.feed.set_origin(origin)
+
+    def reconfigure(self, settings: Settings, filter_name: str = "") -> None:
+        """Hand on other settings."""
+        self.feed.reconfigure(settings, filter_name)
+
+    def restart(self, reason: str) -> None:
+        """Hand on a new beginning."""
+        self.feed.restart(reason)
+
+    def calibrate(self, reason: str) -> bool:
+        """Hand on the wish."""
+        return self.feed.calibrate(reason)
+
+    def feed_imu(self, table: ImuTable) -> None:
+        """Hand on IMU samples."""
+        self.feed.feed_imu(table)
+
+    def feed_gnss(self, fix: GnssFix) -> None:
+        """Hand on a GNSS fix."""
+        self.feed.feed_gnss(fix)
+
+    def feed_heading(self, fix: HeadingFix) -> None:
+        """Hand on a heading."""
+        self.feed.feed_heading(fix)
+
+    def feed_mag(self, sample: MagSample) -> None:
+        """Hand on a magnetometer's reading."""
+        self.feed.feed_mag(sample)
+
+    def feed_baro(self, sample: BaroSample) -> None:
+        """Hand on a barometer's reading."""
+        self.feed.feed_baro(sample)

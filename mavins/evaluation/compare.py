@@ -43,7 +43,8 @@ class Run:
 
     `rows` (N, 31) at `t_us` (N,) as solution.describe writes them; `errors` at those of them where there is a truth;
     `nees` (M,) at the seconds `nees_us` (M,) from the first estimate on. `nis` is (sum, rows) per aiding. `fixes` are
-    the stamps and places of the GNSS fixes that went in.
+    the stamps and places of the GNSS fixes that went in; `refused` counts the measurements that were not fused, by
+    (aiding, reason).
     """
 
     filter: str
@@ -59,6 +60,7 @@ class Run:
     health: str
     reason: str
     fixes: tuple[IntArray, FloatArray]
+    refused: dict[tuple[str, str], int]
 
 
 def run(
@@ -99,9 +101,11 @@ def run(
         inside = (nees_us >= bounds_us[0]) & (nees_us <= bounds_us[1])
         nees_us, values = nees_us[inside], values[inside]
     nis: dict[str, tuple[float, int]] = {}
+    refused: dict[tuple[str, str], int] = {}
     for name, statistics in estimator.statistics.items():
         statistics.fold()
         nis[name] = (statistics.nis_sum, statistics.rows)
+        refused |= {(name, reason): n for reason, n in statistics.rejected.items()}
     return Run(
         filter_name,
         t_us,
@@ -116,6 +120,7 @@ def run(
         estimator.health.name.lower(),
         estimator.reason,
         tape.fixes(),
+        refused,
     )
 
 
@@ -180,28 +185,34 @@ def together(runs: Sequence[Run]) -> dict[str, Any]:
         result["rms"] = {k: np.sqrt(np.mean(v**2, axis=0)).tolist() for k, v in seen.items()}
         result["max"] = {k: np.max(np.abs(v), axis=0).tolist() for k, v in seen.items()}
         result["convergence_s"] = float(np.median([converged_after(e) for e in judged]))
-        result |= _consistency(runs)
+        result |= consistency([(r.nees_us, r.nees) for r in runs])
     return result
 
 
-def _consistency(runs: Sequence[Run]) -> dict[str, Any]:
-    """Mean NEES over runs at the seconds that all of them have."""
-    settled = [(r.nees_us >= r.nees_us[0] + SETTLED_US) for r in runs if len(r.nees_us)]
-    if len(settled) < len(runs):
+def consistency(runs: Sequence[tuple[IntArray, FloatArray]]) -> dict[str, Any]:
+    """What the mean over the runs' NEES (instants and values of each) says, once they have settled."""
+    seconds, mean = mean_nees(runs)
+    if not len(seconds):
         return {}
-    common = set(runs[0].nees_us[settled[0]].tolist() // np.int64(SECOND_US))
-    for r, late in zip(runs, settled, strict=True):
-        common &= set((r.nees_us[late] // SECOND_US).tolist())
-    if not common:
-        return {}
-    seconds = np.array(sorted(common))
-    values = []
-    for r in runs:
-        at = np.searchsorted(r.nees_us // SECOND_US, seconds)
-        values.append(r.nees[at])
-    mean = np.mean(values, axis=0)
     return {
         "nees": float(mean.mean()),
         "nees_band": list(band(DOF, len(runs))),
         "nees_inside": share_inside(mean, DOF, len(runs)),
     }
+
+
+def mean_nees(runs: Sequence[tuple[IntArray, FloatArray]]) -> tuple[IntArray, FloatArray]:
+    """The mean over runs at the seconds (M,) that all of them have, from SETTLED_US after each one's start on."""
+    settled = [
+        (t_us[late] // SECOND_US, values[late])
+        for t_us, values in runs
+        if len(t_us)
+        for late in [t_us >= t_us[0] + SETTLED_US]
+    ]
+    if not settled or len(settled) < len(runs):
+        return np.empty(0, dtype=np.int64), np.empty(0)
+    seconds = settled[0][0]
+    for other, _ in settled[1:]:
+        seconds = np.intersect1d(seconds, other)
+    picked = [values[np.searchsorted(at, seconds)] for at, values in settled]
+    return seconds, np.mean(picked, axis=0)

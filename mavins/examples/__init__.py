@@ -28,6 +28,6 @@ REGISTRY: Final[dict[str, tuple[str, str]]] = {
         "mavins.examples.lever_and_delay",
         "the antenna's place and the delay of GNSS, found in flight (article 004)",
     ),
-    "flights": ("mavins.examples.flights", "two real flights through every filter"),
+    "flights": ("mavins.examples.flights", "three real flights through every filter"),
 }
 """Name -> (module, one line for the overview)."""

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import heapq
 import math
-from collections.abc import Iterator
 
 import numpy as np
 
@@ -59,21 +57,27 @@ def matched(config: Config, scenario: Scenario) -> Config:
 
 
 def flight(config: Config, scenario: Scenario, seed: int, duration: float) -> tuple[Tape, Truth]:
-    """A scenario flown with a seed: measurements by their stamps (at one stamp IMU, heading, fix), and the truth."""
+    """A scenario flown with a seed: measurements by their stamps (at one stamp IMU, heading, fix), and the truth.
+
+    The fixes come with the configured delay, or where that is `auto` with the true one.
+    """
+    told = config.gnss.delay
+    delay = scenario.gnss.latency if told == "auto" else told
     m = simulate(dataclasses.replace(scenario, truth_rate=50), seed, duration)
     tape = Tape(config)
     tape.set_origin(origin_of(scenario))
     start = 0
-    aids: Iterator[GnssFix | HeadingFix] = heapq.merge(m.headings, m.fixes, key=lambda a: a.t_us)
-    for aid in aids:
-        end = int(m.imu.t_us.searchsorted(aid.t_us, "right"))
+    aids: list[GnssFix | HeadingFix] = [*m.headings, *m.fixes]
+    aids.sort(key=lambda aid: aid.t_us)
+    ends = m.imu.t_us.searchsorted([aid.t_us for aid in aids], "right").tolist()
+    for aid, end in zip(aids, ends, strict=True):
         if end > start:
             tape.feed_imu(_rows(m.imu, start, end))
             start = end
         if isinstance(aid, HeadingFix):
             tape.feed_heading(aid)
         else:
-            tape.feed_gnss(dataclasses.replace(aid, delay=scenario.gnss.latency))
+            tape.feed_gnss(dataclasses.replace(aid, delay=delay))
     if start < len(m.imu):
         tape.feed_imu(_rows(m.imu, start, len(m.imu)))
     samples = [state.sample for state in m.states]

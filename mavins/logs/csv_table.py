@@ -108,12 +108,10 @@ def _names(path: Path, head: bytes, needed: Sequence[str], optional: Sequence[st
     return names
 
 
-def _numbers(path: Path, names: list[str], body: bytes) -> FloatArray:
-    """All rows (N, columns)."""
-    if not body.strip():
-        return np.empty((0, len(names)))
-    # numpy's quick reader knows no empty fields; twice, because neighbours share a comma
+def with_nan(body: bytes) -> bytes:
+    """Lines of CSV with `nan` in every empty field: numpy's quick reader knows no empty ones."""
     filled = b"\n" + body + b"\n"
+    # twice, because neighbours share a comma
     for empty, nan in (
         (b",,", b",nan,"),
         (b",,", b",nan,"),
@@ -121,6 +119,14 @@ def _numbers(path: Path, names: list[str], body: bytes) -> FloatArray:
         (b"\n,", b"\nnan,"),
     ):
         filled = filled.replace(empty, nan)
+    return filled
+
+
+def _numbers(path: Path, names: list[str], body: bytes) -> FloatArray:
+    """All rows (N, columns)."""
+    if not body.strip():
+        return np.empty((0, len(names)))
+    filled = with_nan(body)
     try:
         rows = np.loadtxt(io.BytesIO(filled), delimiter=",", comments=None, ndmin=2)
     except ValueError:

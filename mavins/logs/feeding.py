@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TypeVar
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 
 from mavins.estimator.aiding_settings import MagnetometerSettings
+from mavins.estimator.compass import SLACK
 from mavins.estimator.feed import Feed
 from mavins.estimator.settings import Settings
 from mavins.logs.mag_calibration import calibrate
@@ -17,6 +18,8 @@ from mavins.nav.so3 import euler_to_quat, quat_to_dcm
 from mavins.types import BaroSample, GnssFix, HeadingFix, ImuTable, MagSample
 
 SettingsT = TypeVar("SettingsT", bound=Settings)
+SampleT = TypeVar("SampleT", MagSample, BaroSample)
+Reading: TypeAlias = GnssFix | HeadingFix | MagSample | BaroSample
 
 
 def settled(settings: SettingsT, log: SensorLog) -> SettingsT:
@@ -54,13 +57,11 @@ def feed_log(
     log: SensorLog, estimator: Feed, settings: Settings, progress: Callable[[float], None]
 ) -> None:
     """Feed all tables merged by their stamps, with `settled` settings; at one stamp the IMU comes first."""
-    imu = log.imu
+    imu, fed = log.imu, 0
     arrivals = _arrivals(log, settings)
-    arrivals.sort(key=lambda item: item.t_us)
-    ends = imu.t_us.searchsorted([item.t_us for item in arrivals], "right").tolist()
-    fed = 0
-    for item, end in zip(arrivals, ends, strict=True):
-        if end > fed:
+    ends = imu.t_us.searchsorted([item.t_us for item, _ in arrivals], "right").tolist()
+    for (item, in_place), end in zip(arrivals, ends, strict=True):
+        if in_place and end > fed:
             estimator.feed_imu(_rows(imu, fed, end))
             fed = end
             progress(end / len(imu))
@@ -70,20 +71,33 @@ def feed_log(
     progress(1.0)
 
 
-def _arrivals(
-    log: SensorLog, settings: Settings
-) -> list[GnssFix | HeadingFix | MagSample | BaroSample]:
-    """All measurements with the delays that are configured."""
-    delay = settings.gnss.delay
-    return [
-        *(fix if delay == "auto" else replace(fix, delay=delay) for fix in log.gnss),
-        *(replace(fix, delay=settings.heading.delay) for fix in log.headings),
-        *log.mag,
-        *log.baro,
-    ]
+def _arrivals(log: SensorLog, settings: Settings) -> list[tuple[Reading, bool]]:
+    """All measurements with the delays that are configured, by their stamps; False for those that will only be noted,
+    whose place among the IMU's samples does not matter: a barometer's readings beyond its highest rate.
+    """
+    delay, baro = settings.gnss.delay, settings.baro
+    fixes = (fix if delay == "auto" else replace(fix, delay=delay) for fix in log.gnss)
+    headings = (replace(fix, delay=settings.heading.delay) for fix in log.headings)
+    mag = _due(log.mag, settings.magnetometer.max_rate)
+    levels = log.baro if baro.enabled else []
+    fused = {id(sample) for sample in _due(levels, baro.max_rate)}
+    placed: list[Reading] = [*fixes, *headings, *mag]
+    arrivals: list[tuple[Reading, bool]] = [(item, True) for item in placed]
+    arrivals += [(sample, id(sample) in fused) for sample in levels]
+    arrivals.sort(key=lambda arrival: arrival[0].t_us)
+    return arrivals
 
 
-def _feed(estimator: Feed, item: GnssFix | HeadingFix | MagSample | BaroSample) -> None:
+def _due(readings: Sequence[SampleT], max_rate: float) -> list[SampleT]:
+    """The readings that are not too soon after the one before, by the estimator's own rule."""
+    period_us, due = SLACK * 1e6 / max_rate, list[SampleT]()
+    for reading in readings:
+        if not due or reading.t_us - due[-1].t_us >= period_us:
+            due.append(reading)
+    return due
+
+
+def _feed(estimator: Feed, item: Reading) -> None:
     match item:
         case GnssFix():
             estimator.feed_gnss(item)

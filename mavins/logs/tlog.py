@@ -17,7 +17,7 @@ from typing import IO, Final
 
 import numpy as np
 
-from mavins.errors import LogFormatError, OutputError
+from mavins.errors import LogFormatError, NotALogError, OutputError
 from mavins.logs.packed import open_packed
 from mavins.mavlink.codec.framing import STAMP_LENGTH, Damage, Frames, scan_tlog
 
@@ -198,4 +198,4 @@ def _check(path: str | Path, head: bytes, size: int, packets: int, skipped: int)
             raise LogFormatError(f"{path} is {name}, not a MAVLink .tlog")
     # a few packets may turn up in any large file by chance
     if packets == 0 or skipped > 0.9 * size:
-        raise LogFormatError(f"{path} is not a MAVLink .tlog: no packets with stamps in it")
+        raise NotALogError(f"{path} is not a MAVLink .tlog: no packets with stamps in it")

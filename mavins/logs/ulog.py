@@ -172,19 +172,19 @@ def _fixes(
         place = np.column_stack([rows["lat"], rows["lon"]]) * 1e-7
         alt = rows["alt"] * 1e-3
     velocity = np.column_stack([rows[f"vel_{axis}_m_s"] for axis in "ned"]).astype(np.float64)
-    accuracy = np.column_stack([rows["eph"], rows["epv"], rows["s_variance_m_s"]])
+    accuracy = np.column_stack([rows["eph"], rows["epv"], rows["s_variance_m_s"]]).tolist()
     usable = (abs(place) <= (90.0, 180.0)).all(axis=1) & (abs(alt) <= MAX_ALTITUDE)
     moving = rows["vel_ned_valid"].astype(bool) & (abs(velocity) <= MAX_SPEED).all(axis=1)
-    t_us = _stamps(rows)
+    t_us, places = _stamps(rows), np.radians(place).tolist()
     fixes = []
     for k in clean.rows("gnss", t_us, usable).tolist():
-        h, v, speed = (float(s) if 0.0 < s < np.inf else None for s in accuracy[k])
-        v_n, v_e, v_d = velocity[k].tolist()
+        h, v, speed = (s if 0.0 < s < np.inf else None for s in accuracy[k])
+        (lat, lon), (v_n, v_e, v_d) = places[k], velocity[k].tolist()
         fixes.append(
             GnssFix(
                 int(t_us[k]),
-                float(np.radians(place[k, 0])),
-                float(np.radians(place[k, 1])),
+                lat,
+                lon,
                 float(alt[k]),
                 (v_n, v_e, v_d) if moving[k] else None,
                 int(rows["fix_type"][k]),

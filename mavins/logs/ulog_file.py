@@ -140,6 +140,16 @@ def walk(
     return other
 
 
+@kernel
+def gathered(data: Bytes, starts: IntArray, size: int) -> Bytes:
+    """The `size` bytes from each of `starts` (N,) on, as rows (N, size)."""
+    out = np.empty((len(starts), size), dtype=np.uint8)
+    for k in range(len(starts)):
+        for i in range(size):
+            out[k, i] = data[starts[k] + i]
+    return out
+
+
 class _Subscription:
     """One topic's data: where its fields lie, and what was kept of them so far."""
 
@@ -155,8 +165,7 @@ class _Subscription:
 
     def take(self, data: Bytes, starts: IntArray) -> None:
         """Keep the wanted fields of the data that begin at `starts`."""
-        raw = data[starts[:, None] + np.arange(_FIELDS, _FIELDS + self._size)]
-        rows = raw.view(self._there)[:, 0]
+        rows = gathered(data, starts + _FIELDS, self._size).view(self._there)[:, 0]
         part = np.empty(len(rows), self._kept)
         for name in self._kept.names or ():
             part[name] = rows[name]
@@ -221,7 +230,7 @@ class _Scanner:
                 payload = data[at + _FRAME : at + _FRAME + size].tobytes()
                 try:
                     self._other(chr(data[at + 2]), payload)
-                except (ValueError, KeyError, IndexError, struct.error):
+                except (ArithmeticError, LookupError, RecursionError, ValueError, struct.error):
                     self._found.skipped += _FRAME + size
                 state[0] = at + _FRAME + size
             elif ends and state[0] < len(data):
@@ -291,7 +300,7 @@ class _Scanner:
 
     def _subscribe(self, instance: int, number: int, name: str) -> None:
         """From here on data of this number are a topic's."""
-        size, padded, places = 0, 0, []
+        size, padded, stamp, places = 0, 0, 0, []
         for kind, count, label in self._formats[name]:
             if label == "timestamp":
                 stamp = _FIELDS + padded
@@ -301,6 +310,8 @@ class _Scanner:
             padded += self._size_of(kind) * max(count, 1)
             if not label.startswith("_padding"):
                 size = padded  # the last padding is not written
+        if not stamp:
+            raise ValueError(f"{name} has no stamps")
         topic = (name, instance)
         self._names[number] = (topic, stamp)
         self._least[number], self._most[number] = size + 2, padded + 2
@@ -319,4 +330,7 @@ def _field(text: str) -> tuple[str, int, str]:
     """`float[3] gyro_rad` -> ("float", 3, "gyro_rad"); a count of 0 for what is no array."""
     kind, label = text.split(" ")
     kind, _, count = kind.partition("[")
-    return kind, int(count.rstrip("]") or 0), label
+    number = int(count.rstrip("]") or 0)
+    if number < 0:
+        raise ValueError(f"an array of {number} values")
+    return kind, number, label

@@ -135,9 +135,13 @@ class Vehicle:
     def take(self, frames: Frames) -> Iterator[Payload]:
         """Feed packets of the vehicle; gives the news that they make, for everybody."""
         self.intake.take(frames)
+        yield from self.look(int(frames.t_us[-1]))
+
+    def look(self, now_us: int) -> Iterator[Payload]:
+        """The news that there are after something was fed."""
         if self.estimator.imu_rows != self._imu_rows:
             self._imu_rows = self.estimator.imu_rows
-            self._imu_us = int(frames.t_us[-1])
+            self._imu_us = now_us
         yield from self.news()
         yield from self._fix_news()
         if self.monitor is not None:

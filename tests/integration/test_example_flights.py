@@ -14,10 +14,11 @@ from mavins.filters import REGISTRY
 pytest.importorskip("pygeomag")
 pytestmark = [pytest.mark.slow, pytest.mark.jit]
 
-FLIGHTS = ("fixedwing_umn_thor75", "quad_apm_122a")
+FOLDERS = ("fixedwing_umn_thor75", "quad_apm_122a")
+FLIGHTS = (*FOLDERS, "quad_px4_mr_tropic.ulg.xz")
 
 
-def test_every_filter_flies_both_flights(
+def test_every_filter_flies_all_flights(
     shared: Callable[[str], Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     data = shared("data/flights").parent
@@ -28,11 +29,11 @@ def test_every_filter_flies_both_flights(
     assert tuple(tables) == FLIGHTS
     for flight in FLIGHTS:
         assert list(tables[flight]) == list(REGISTRY)
-        assert all(table["instants"] > 2500 for table in tables[flight].values())
+        assert all(table["instants"] > 500 for table in tables[flight].values())
     assert set(tables["quad_apm_122a"]["eskf"]["rms"]) == {"att_deg"}
 
 
-@pytest.mark.parametrize("flight", FLIGHTS)
+@pytest.mark.parametrize("flight", FOLDERS)
 def test_a_flight_needs_no_settings(
     shared: Callable[[str], Path], tmp_path: Path, flight: str
 ) -> None:
@@ -41,7 +42,7 @@ def test_a_flight_needs_no_settings(
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert summary["health"] == "running"
     assert (summary["resets"], summary["realignments"]) == (0, 0)
-    roll, pitch, _ = summary["truth"]["rms"]["att_deg"]
+    roll, pitch, _ = summary["reference"]["rms"]["att_deg"]
     assert max(roll, pitch) < 2.0
 
 

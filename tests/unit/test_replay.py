@@ -32,8 +32,9 @@ from mavins.mavlink.parameters import set_again
 from mavins.mavlink.requests import decode_packet
 from mavins.mavlink.settings import SessionSettings
 from mavins.parameters import ConfigStore, file_keeper
-from mavins.replay import ReplayOptions, grid_us, replay
+from mavins.replay import ReplayOptions, replay
 from mavins.results import ResultWriter
+from mavins.runs import grid_us
 from mavins.sources import tape_of
 from mavins.tlog_source import tune
 from mavins.tlog_survey import Survey

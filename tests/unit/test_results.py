@@ -76,7 +76,6 @@ def test_estimates(tmp_path: Path) -> None:
     with ResultWriter(tmp_path / "new" / "eskf", Layout.of()) as writer:
         writer.write_rows(block([1_000_000, 1_020_000]), FRAME)
         assert writer.rows == 2
-        assert len(writer.table()[0]) == 0
     path = tmp_path / "new" / "eskf" / "estimates.csv"
     assert path.read_text().splitlines()[0] == ESTIMATES
     first, second = read(path)
@@ -91,19 +90,6 @@ def test_estimates(tmp_path: Path) -> None:
     assert (row["v_n"], row["v_e"], row["v_d"]) == pytest.approx((1.0, -2.0, 0.25), abs=1e-4)
     assert row["yaw"] == pytest.approx(math.radians(30), abs=1e-5)
     assert row["sd_p_n"] == row["sd_v_d"] == pytest.approx(0.2)
-
-
-def test_bounds_and_what_is_kept(tmp_path: Path) -> None:
-    with ResultWriter(tmp_path, Layout.of(), keep=True) as writer:
-        writer.bounds_us = (1_000_000, 2_000_000)
-        writer.write_rows(block([999_999, 1_000_000]), FRAME)
-        writer.write_rows(block([2_000_000, 2_000_001]), FRAME)
-        for t_us in (999_999, 1_000_000, 2_000_000, 2_000_001):
-            writer.write_decision(decision(t_us))
-    t_us, rows = writer.table()
-    assert t_us.tolist() == [1_000_000, 2_000_000]
-    assert rows[:, 0] == pytest.approx(FRAME.to_lla(np.array([10.0, 0.0, -2.0]))[0])  # radians
-    assert [row["t_us"] for row in read(tmp_path / "innovations.csv")] == ["1000000", "2000000"]
 
 
 def test_innovations(tmp_path: Path) -> None:

@@ -31,7 +31,7 @@ from mavins.types import IntArray
 
 Bytes = NDArray[np.uint8]
 
-_CHUNK: Final = 1 << 20
+_CHUNK: Final = 1 << 22
 _SHORTEST: Final = 4
 """Bytes of the shortest message: a header and one field."""
 _FIELDS: Final = 16
@@ -120,6 +120,7 @@ class BinaryLog:
         self._stream = stream
         self._wanted = wanted
         self._formats: dict[int, Format] = {}
+        self._rows: dict[int, np.dtype[np.void]] = {}
         self._taken: dict[int, tuple[str, ...]] = {}
         self._lengths = np.zeros(256, np.int64)
         self._lengths[FMT] = FMT_LENGTH
@@ -162,7 +163,7 @@ class BinaryLog:
                 continue
             mine = start[kind == number]
             rows = self._messages(data, mine if number in self._taken else mine[[0, -1]], number)
-            batch = _batch(form, self._taken.get(number, ()), rows.view(form.row)[:, 0])
+            batch = _batch(form, self._taken.get(number, ()), rows.view(self._rows[number])[:, 0])
             self.survey.add(form.name, len(mine), batch.t_us)
             if number in self._taken:
                 yield batch
@@ -184,8 +185,9 @@ class BinaryLog:
             form = format_of(name, characters, labels)
             if form is None or number in self._formats or number == FMT:
                 continue
-            if form.row.itemsize == length == self._lengths[number]:
-                self._formats[number] = form
+            row = form.row
+            if row.itemsize == length == self._lengths[number]:
+                self._formats[number], self._rows[number] = form, row
                 wanted = self._wanted(form)
                 if wanted:
                     self._taken[number] = wanted

@@ -28,8 +28,9 @@ def _moderate(rows: FloatArray) -> FloatArray:
 _FILTER: Final = Reading((*_EULER, "VN", "VE", "VD", "PN", "PE", "PD"), _moderate)
 _ATTITUDE: Final = Reading(_EULER, _moderate)
 
-_CONTRADICTION: Final = 0.3
-"""A velocity that differs by so many m/s from how the position changes is none."""
+_APART: Final = 0.05
+_STEP: Final = 0.005
+"""SIM and SIM2 contradict each other if they differ by more than so many m, and m per m/s."""
 
 SIM: Final = {"SIM": Reading((*_EULER, "Lat", "Lng", "Alt", *_QUATERNION), _moderate)}
 SIM2: Final = {"SIM2": Reading(("PN", "PE", "PD", "VN", "VE", "VD"), _moderate)}
@@ -43,44 +44,55 @@ REFERENCES: Final = {
 }
 ATTITUDE: Final = {"ATT": _ATTITUDE}
 ORIGIN: Final = {"ORGN": Reading(("Lat", "Lng", "Alt"), _moderate)}
-PERIOD_US: Final = 20_000
-"""Of what a judge says more often than that the first is kept; positions between are on cubics."""
+PERIOD_US: Final = 50_000
+"""Of what a judge says more often than that the first is kept: between two positions there is a cubic."""
+_BLOCK: Final = 50_000
 
 
 def truth_of(sim: Channel, sim2: Channel) -> Truth | None:
     """SIM has position and attitude at 10 Hz, SIM2 position and velocity at the loop's rate, from an unnamed home."""
-    if not len(sim):
+    t_us, rows = sim.table.release()
+    if not len(t_us):
         return None
-    t_us, rows = sim.table.t_us, sim.table.rows
     lla = np.column_stack([np.radians(rows[:, 3:5]), rows[:, 5]])
-    q_lb = np.where(
-        np.isfinite(rows[:, 6:]).all(axis=1, keepdims=True), rows[:, 6:], _quat(rows[:, :3])
-    )
-    norm: FloatArray = np.sqrt((q_lb**2).sum(axis=1))
-    usable = np.flatnonzero(abs(norm - 1.0) < 0.1)
+    told = np.isfinite(rows[:, 6:].sum(axis=1))[:, None]
+    q_lb = np.where(told, rows[:, 6:], _quat(rows))
+    norm: FloatArray = np.linalg.norm(q_lb, axis=1)
+    usable = np.flatnonzero(np.abs(norm - 1.0) < 0.1)
     t_us, lla, q_lb = t_us[usable], lla[usable], q_lb[usable] / norm[usable, None]
     if not len(t_us):
         return None
     if len(sim2) < 2:
         return Truth(t_us, lla, np.full((len(t_us), 3), np.nan), q_lb, str(sim.source))
-    at_us, moves = sim2.table.t_us, sim2.table.rows
-    home = _home(t_us, lla, at_us, moves[:, :3])
-    turned = _between(at_us, t_us, q_lb)
-    v_l = _followed(at_us, moves[:, :3], moves[:, 3:])
-    return Truth(at_us, _lla(home, moves[:, :3]), v_l, turned, f"{sim2.source}, {sim.source}")
+    at_us, moves = sim2.table.release()
+    home, apart = _home(t_us, lla, at_us, moves[:, :3])
+    turned = np.empty((len(at_us), 4))
+    # in place and in blocks, for this is the largest table after the IMU's
+    _forget_contradicted(moves, at_us, t_us, apart)
+    for k in range(0, len(at_us), _BLOCK):
+        block = slice(k, k + _BLOCK)
+        turned[block] = _between(at_us[block], t_us, q_lb)
+        moves[block, :3] = _lla(home, moves[block, :3])
+    return Truth(at_us, moves[:, :3], moves[:, 3:], turned, f"{sim2.source}, {sim.source}")
 
 
 def reference_of(channel: Channel, attitude: Channel, origin: Channel) -> Truth | None:
     """What the vehicle's own filter said; nan what that source does not say."""
-    if channel.source is None or not len(channel):
+    t_us, rows = channel.table.release()
+    if channel.source is None or not len(t_us):
         return None
-    t_us, rows, name = channel.table.t_us, channel.table.rows, str(channel.source)
+    name = str(channel.source)
     nothing = np.full((len(t_us), 3), np.nan)
     match channel.source.message:
         case "POS":
-            q_lb = _between(t_us, attitude.table.t_us, _quat(attitude.table.rows[:, :3]))
+            att_us, angles = attitude.table.release()
+            q_lb = (
+                _between(t_us, att_us, _quat(angles))
+                if len(att_us)
+                else np.full((len(t_us), 4), np.nan)
+            )
             lla = np.column_stack([np.radians(rows[:, :2]), rows[:, 2]])
-            return Truth(t_us, lla, nothing, q_lb, f"{name}, ATT" if len(attitude) else name)
+            return Truth(t_us, lla, nothing, q_lb, f"{name}, ATT" if len(att_us) else name)
         case "AHR2":
             lla = np.column_stack([np.radians(rows[:, 3:5]), rows[:, 5]])
             lla[(rows[:, 3] == 0.0) & (rows[:, 4] == 0.0)] = np.nan
@@ -88,9 +100,8 @@ def reference_of(channel: Channel, attitude: Channel, origin: Channel) -> Truth 
         case "ATT":
             return Truth(t_us, nothing, nothing, _quat(rows), name)
         case _:
-            return Truth(
-                t_us, _from_origin(t_us, rows[:, 6:], origin), rows[:, 3:6], _quat(rows), name
-            )
+            lla = _from_origin(t_us, rows[:, 6:], origin)
+            return Truth(t_us, lla, rows[:, 3:6], _quat(rows), name)
 
 
 def _from_origin(t_us: IntArray, ned: FloatArray, origin: Channel) -> FloatArray:
@@ -110,17 +121,24 @@ def _lla(home: FloatArray, ned: FloatArray) -> FloatArray:
     return np.column_stack([home[0] + north, home[1] + east, home[2] - ned[:, 2]])
 
 
-def _followed(t_us: IntArray, ned: FloatArray, v: FloatArray) -> FloatArray:
-    """Velocities (N, 3), nan where positions do not follow them: the simulator's ground holds a vehicle at take-off."""
-    moved = np.diff(ned, axis=0) / (np.diff(t_us) * 1e-6)[:, None]
-    false = (abs(moved - 0.5 * (v[1:] + v[:-1])) > _CONTRADICTION).any(axis=1)
-    told = v.copy()
-    told[:-1][false] = told[1:][false] = np.nan
-    return told
+def _forget_contradicted(
+    moves: FloatArray, at_us: IntArray, t_us: IntArray, apart: FloatArray
+) -> None:
+    """Positions and velocities (M, 6) at `at_us` <- nan where SIM says another position beside them.
+
+    `apart` (N,) is how far in m the two are at `t_us`; the stamps of both are off by up to a step.
+    """
+    k = np.clip(np.searchsorted(t_us, at_us), 1, max(len(t_us) - 1, 1))
+    worst = np.maximum(apart[k - 1], apart[np.minimum(k, len(t_us) - 1)])
+    speed = np.linalg.norm(moves[:, 3:], axis=1)
+    moves[worst > _APART + _STEP * speed] = np.nan
 
 
-def _home(t_us: IntArray, lla: FloatArray, at_us: IntArray, ned: FloatArray) -> FloatArray:
-    """Where positions (M, 3) at `at_us` count from: the median of what those (N, 3) in degrees say."""
+def _home(
+    t_us: IntArray, lla: FloatArray, at_us: IntArray, ned: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Where positions (M, 3) at `at_us` count from: the median of what those (N, 3) at `t_us` say; and how far in m
+    each of them (N,) is from that."""
     moved = np.column_stack([np.interp(t_us, at_us, ned[:, k]) for k in range(3)])
     backwards = _lla(np.zeros(3), moved)
     east = moved[:, 1] / (_SPHERE * np.cos(lla[:, 0] - 0.5 * backwards[:, 0]))
@@ -128,7 +146,9 @@ def _home(t_us: IntArray, lla: FloatArray, at_us: IntArray, ned: FloatArray) -> 
         [lla[:, 0] - backwards[:, 0], lla[:, 1] - east, lla[:, 2] + moved[:, 2]]
     )
     home: FloatArray = np.median(homes, axis=0)
-    return home
+    off = (homes - home) * (_SPHERE, _SPHERE * np.cos(home[0]), 1.0)
+    apart: FloatArray = np.linalg.norm(off, axis=1)
+    return home, apart
 
 
 def _quat(euler: FloatArray) -> FloatArray:

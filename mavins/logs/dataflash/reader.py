@@ -142,18 +142,20 @@ def _sensor_log(
     sources = channels.sources()
     for channel in sources.values():
         dropped.update(channel.dropped)
-    fixes, headings = fixes_of(channels.gnss, channels.quality, dropped)
+    names = {name: str(channel.source) for name, channel in sources.items()}
+    # the large ones first: each table is let go of when its readings are made
     truth = judges.truth_of(channels.sim, channels.sim2)
     reference = judges.reference_of(channels.reference, channels.attitude, channels.origin)
-    names = {name: str(channel.source) for name, channel in sources.items()}
+    fixes, headings = fixes_of(channels.gnss, channels.quality, dropped)
     if headings:
         names["heading"] = headings[0].source
     for name, judge in (("truth", truth), ("reference", reference)):
         if judge is not None:
             names[name] = judge.source
-    imu, receiver = channels.imu.table, channels.gnss.source
+    receiver = channels.gnss.source
+    t_us, imu = channels.imu.table.release()
     return SensorLog(
-        ImuTable(imu.t_us, imu.rows[:, 3:], imu.rows[:, :3]),
+        ImuTable(t_us, imu[:, 3:], imu[:, :3]),
         fixes,
         headings,
         [MagSample(t, row, names["mag"]) for t, row in _slow(channels.mag)],
@@ -171,5 +173,5 @@ def _sensor_log(
 
 
 def _slow(channel: Channel) -> Iterator[tuple[int, FloatArray]]:
-    t_us, rows = thinned(channel.table.t_us, channel.table.rows)
+    t_us, rows = thinned(*channel.table.release())
     return zip(t_us.tolist(), rows, strict=True)

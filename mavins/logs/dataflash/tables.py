@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Iterator
 from typing import Any, Final
 
 import numpy as np
@@ -38,8 +37,13 @@ class Table:
         """Readings (N, width)."""
         return self._rows[: self._count]
 
-    def __iter__(self) -> Iterator[tuple[int, FloatArray]]:
-        return zip(self.t_us.tolist(), self.rows, strict=True)
+    def release(self) -> tuple[IntArray, FloatArray]:
+        """Stamps (N,) and readings (N, width), which are forgotten here."""
+        self._t_us.resize(self._count, refcheck=False)
+        self._rows.resize((self._count, self._rows.shape[1]), refcheck=False)
+        t_us, rows = self._t_us, self._rows
+        self._t_us, self._rows, self._count = t_us[:0], rows[:0], 0
+        return t_us, rows
 
     def append(self, t_us: IntArray, rows: FloatArray) -> None:
         """Take those of the rows (M, width) whose stamps go on from the ones before."""

@@ -19,7 +19,7 @@ from mavins.logs.dataflash.formats import (
 from mavins.logs.dataflash.survey import Survey
 from mavins.types import FloatArray
 
-_CHUNK: Final = 1 << 20
+_CHUNK: Final = 1 << 22
 _LONGEST: Final = 1 << 14
 """Bytes of a line; more is damage."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -155,3 +155,39 @@ def test_a_recorder_whose_clock_stepped_back_does_not_hurry(tmp_path: Path) -> N
             writer.write(T0 + t, frame(heartbeat(2, 12), 8, 1, k))
     assert due_times(read_tlog(path), 2.0) == [0.0, 0.5, 0.5, 0.75]
     assert due_times(read_tlog(path), float("inf")) == [0.0] * 4
+
+
+def sensor_folder(path: Path) -> Path:
+    path.mkdir()
+    rows = "\n".join(
+        f"{k * 10_000},0,0,-9.8,0,0,0.01" for k in range(100) if k not in range(40, 60)
+    )
+    (path / "imu.csv").write_text(f"t_us,accel_x,accel_y,accel_z,gyro_x,gyro_y,gyro_z\n{rows}\n")
+    (path / "gnss.csv").write_text("t_us,lat_deg,lon_deg,alt_m\n0,47,8,500\n500000,47,8,500\n")
+    return path
+
+
+def test_info_of_sensors(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["info", str(sensor_folder(tmp_path / "flight"))]) == 0
+    out = capsys.readouterr().out
+    assert "a folder of CSV, 1.0 s" in out
+    assert "imu.csv, 80 samples at 100.0 Hz" in out
+    assert "1 of more than 3 intervals: 0.210 s at 0.4" in out
+    assert "gnss.csv, 2 readings at 2.0 Hz, 2 with a 3-D fix, delay not told" in out
+    assert "compass    none" in out
+
+
+def test_info_of_a_ulog_names_what_could_be_chosen(
+    shared: Callable[[str], Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = str(shared("data/flights/quad_px4_mr_tropic.ulg.xz"))
+    assert main(["info", path]) == 0
+    out = capsys.readouterr().out
+    assert "PX4 NXP_MR_TROPIC, 79.5 s" in out
+    assert "sensor_combined, 15843 samples at 199.5 Hz; --imu could be vehicle_imu.0" in out
+    assert "delay 0.11 s; --gnss could be sensor_gps.0" in out
+    assert "vehicle_air_data                              399     5.0 Hz" in out
+    assert main(["info", path, "--imu", "1"]) == 0
+    assert "IMU        vehicle_imu.1, 159 samples at 2.0 Hz" in capsys.readouterr().out
+    assert main(["info", path, "--imu", "5"]) == 2
+    assert "no IMU called '5'; it has sensor_combined, vehicle_imu.0" in capsys.readouterr().err

@@ -53,6 +53,7 @@ def run_of(north: float, nees: FloatArray, **changes: Any) -> Run:
         "health": "running",
         "reason": "",
         "fixes": (np.empty(0, dtype=np.int64), np.empty((0, 3))),
+        "refused": {},
     }
     return Run(**(values | changes))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from pathlib import Path
 
@@ -135,3 +136,10 @@ def test_settings_are_settled_by_what_the_folder_holds(tmp_path: Path) -> None:
     assert config.gnss.delay == 0.0
     assert config.magnetometer.enabled is False  # there are headings, and no magnetometer
     assert settled(load(None, {"gnss.delay": 0.2}), folder).gnss.delay == 0.2
+
+
+def test_the_delay_that_the_log_tells_is_used_unless_one_is_set(tmp_path: Path) -> None:
+    log = dataclasses.replace(read_csv_folder(standing(tmp_path / "flight")), gnss_delay=0.11)
+    assert settled(load(), log).gnss.delay == 0.11
+    assert settled(load(None, {"gnss.delay": 0.05}), log).gnss.delay == 0.05
+    assert settled(load(), dataclasses.replace(log, gnss_delay=None)).gnss.delay == 0.0

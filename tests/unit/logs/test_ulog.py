@@ -312,6 +312,26 @@ def test_junk_never_raises() -> None:
         assert found.skipped <= len(hurt)
 
 
+@pytest.mark.parametrize(
+    "fields",
+    [
+        "loop x;",
+        "float x;",
+        "uint64_t timestamp;float[-3] x;",
+        "uint64_t timestamp;no_such x;",
+        "(",
+    ],
+)
+def test_a_format_that_makes_no_sense_is_passed_over(fields: str) -> None:
+    w = flight(0.1)
+    whole = scanned(w.bytes()).counts
+    w._head += Writer._message("F", f"loop:{fields}".encode())
+    w.raw("A", struct.pack("<BH", 0, 300) + b"loop").raw("D", struct.pack("<HQf", 300, START, 1.0))
+    found = scanned(w.bytes())
+    assert found.skipped > 0
+    assert found.counts == whole
+
+
 def test_pieces_do_not_show(monkeypatch: pytest.MonkeyPatch) -> None:
     data = (
         flight(1.0).raw("O", struct.pack("<H", 250)).raw("S", b"\x2f\x73\x13\x20\x25\x0c\xbb\x12")

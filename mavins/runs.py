@@ -1,0 +1,161 @@
+"""A log through the estimator: the same way as live, only faster."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from mavins import __version__
+from mavins.config import Config
+from mavins.estimates import Decisions, Estimates, Result
+from mavins.estimator.estimator import Estimator, Outputs
+from mavins.estimator.feed import Feed
+from mavins.estimator.fusion import Event
+from mavins.estimator.history import History
+from mavins.estimator.smoothing import smooth as smooth_back
+from mavins.filters.base import RowBlock
+from mavins.nav.earth import TangentFrame
+from mavins.nav.layout import Layout
+from mavins.results import BIAS_SIGMAS, further, table_of
+from mavins.sources import Log, Source, judge_of, open_log
+from mavins.types import FloatArray, IntArray
+
+
+class Sink(Protocol):
+    """Takes what a run says while it runs (results.ResultWriter writes it)."""
+
+    def write_table(self, t_us: IntArray, table: FloatArray) -> None:
+        """Estimates (N, 37 + k) as `results.table_of` makes them."""
+
+    def write_decision(self, event: Event) -> None:
+        """The final decision on a measurement."""
+
+
+def grid_us(rate: float) -> int:
+    """The output grid in us for a rate in Hz; 0 for every IMU sample."""
+    return 0 if rate <= 0.0 else max(1, round(1e6 / rate))
+
+
+def run(
+    log: Log | Path | str,
+    config: Config | None = None,
+    *,
+    start: float | None = None,
+    end: float | None = None,
+    rate: float = 50.0,
+    smooth: bool = False,
+    progress: Callable[[float], None] = lambda _: None,
+) -> Result:
+    """Run a log through the estimator of a configuration (None: the defaults).
+
+    The whole log is filtered; `start` and `end`, in s on the vehicle's boot clock, bound what is kept and judged, at
+    `rate` in Hz (0: every IMU sample). `smooth` adds estimates that know what came later. `progress` is told the share
+    that is done. Raises LogFormatError for what is not a log with an IMU.
+    """
+    opened = log if isinstance(log, Log) else open_log(log)
+    source = opened.source(config or Config())
+    return run_source(source, opened.path, start, end, rate, smooth, (), progress)
+
+
+def run_source(
+    source: Source,
+    path: Path,
+    start: float | None,
+    end: float | None,
+    rate: float,
+    smooth: bool,
+    sinks: Sequence[Sink],
+    progress: Callable[[float], None],
+    before: Callable[[Estimator], Feed] = lambda estimator: estimator,
+) -> Result:
+    """`run` for a source that was opened from `path`; what is kept goes to the sinks as it comes.
+
+    `before` puts what looks on between the source and the estimator.
+    """
+    config = source.config
+    bounds = (round((start or 0.0) * 1e6), 2**62 if end is None else round(end * 1e6))
+    recorder = _Recorder(config.states.layout(), bounds, sinks)
+    history = History() if smooth else None
+    outputs = Outputs(grid_us(rate), recorder.take_rows, recorder.take_decision, history)
+    estimator = Estimator(config, config.filter, outputs)
+    source.feed(before(estimator), progress)
+    estimator.finish()
+    estimates = recorder.estimates()
+    summary: dict[str, Any] = {"mavins": __version__, "log": str(path)}
+    summary |= {"filter": config.filter, **source.summary(estimator)}
+    judge = judge_of(source) if len(estimates) else None
+    errors = None
+    for key, known in (("reference", source.reference), ("truth", source.truth)):
+        if known is not None and len(known) > 1 and len(estimates):
+            errors = estimates.against(known)
+            summary[key] = {"source": known.source, **errors.summary()}
+    smoothed = None if history is None else _smoothed(estimator, history, bounds)
+    if smoothed is not None and judge is not None and len(smoothed):
+        summary["smoothed"] = smoothed.against(judge).summary()
+    summary |= {"log_s": source.seconds, "rows": len(estimates), "damage": source.damage}
+    return Result(
+        estimates.t_us,
+        estimates.table,
+        estimates.further,
+        config,
+        recorder.decisions.by_aiding(),
+        source.truth,
+        source.reference,
+        errors,
+        smoothed,
+        summary,
+    )
+
+
+class _Recorder:
+    """Keeps what lies within bounds, and hands it on."""
+
+    def __init__(self, layout: Layout, bounds: tuple[int, int], sinks: Sequence[Sink]) -> None:
+        self._layout, self._bounds, self._sinks = layout, bounds, sinks
+        self._tables: list[tuple[IntArray, FloatArray]] = []
+        self.decisions = Decisions()
+
+    def take_rows(self, block: RowBlock, frame: TangentFrame) -> None:
+        t_us, table = _within(self._bounds, block, frame, self._layout)
+        if not len(t_us):
+            return
+        self._tables.append((t_us, table))
+        for sink in self._sinks:
+            sink.write_table(t_us, table)
+
+    def take_decision(self, event: Event) -> None:
+        if not self._bounds[0] <= event.measurement.t_us <= self._bounds[1]:
+            return
+        self.decisions.keep(event)
+        for sink in self._sinks:
+            sink.write_decision(event)
+
+    def estimates(self) -> Estimates:
+        return _joined(self._tables, self._layout)
+
+
+def _within(
+    bounds: tuple[int, int], block: RowBlock, frame: TangentFrame, layout: Layout
+) -> tuple[IntArray, FloatArray]:
+    """The stamps and the table of a block's rows within the bounds."""
+    t_us, table = block.t_us[: block.count], table_of(block, frame, layout)
+    inside = (t_us >= bounds[0]) & (t_us <= bounds[1])
+    return t_us[inside], table[inside]
+
+
+def _smoothed(estimator: Estimator, history: History, bounds: tuple[int, int]) -> Estimates:
+    """A finished run, smoothed."""
+    layout = estimator.filter.layout
+    tables = [_within(bounds, block, frame, layout) for block, frame in smooth_back(history)]
+    return _joined(tables[::-1], layout)
+
+
+def _joined(tables: Sequence[tuple[IntArray, FloatArray]], layout: Layout) -> Estimates:
+    places = further(layout)
+    width = max((sigmas.stop for _, sigmas in places.values()), default=BIAS_SIGMAS.stop)
+    t_us = np.concatenate([np.empty(0, dtype=np.int64), *(t for t, _ in tables)])
+    table = np.concatenate([np.empty((0, width)), *(table for _, table in tables)])
+    return Estimates(t_us, table, places)
