@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Protocol
 
+import numpy as np
+
 from mavins.config import Config
 from mavins.errors import LogFormatError
 from mavins.estimator.estimator import Estimator
@@ -21,6 +23,7 @@ from mavins.mavlink.identity import identity_for
 from mavins.mavlink.peers import Identity
 from mavins.outcome import outcome_of
 from mavins.tlog_source import TlogSource
+from mavins.types import ImuTable
 
 READERS: Final = {
     "csv_folder": "mavins.logs.csv_folder:read_csv_folder",
@@ -166,3 +169,17 @@ def tape_of(
     tape = Tape(source.config)
     source.feed(tape, progress)
     return tape, judge_of(source)
+
+
+def imu_of(log: Path, config: Config, sysid: int | None = None) -> ImuTable:
+    """All IMU samples of a log by their stamps; it need not hold anything else."""
+    kind = kind_of(log)
+    if kind == "tlog":
+        tape = Tape(config)
+        TlogSource(log, config, sysid).feed(tape, lambda _: None)
+        tables = [what for name, what in tape.feeds if name == "feed_imu"]
+    else:
+        tables = [read_sensors(log, kind).imu]
+    t_us, first = np.unique(np.concatenate([t.t_us for t in tables]), return_index=True)
+    accel_b = np.concatenate([t.accel_b for t in tables])[first]
+    return ImuTable(t_us, accel_b, np.concatenate([t.gyro_b for t in tables])[first])

@@ -6,11 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mavins.errors import LogFormatError
-
 if TYPE_CHECKING:
     from mavins.evaluation.allan import Allan, Axis, Coefficient
-    from mavins.types import ImuTable
 
 SUMMARY = """\
 White noise, bias instability and random walk of gyro and accelerometer from a log in which the IMU
@@ -43,10 +40,9 @@ def run(args: argparse.Namespace) -> int:
     from mavins.config import load, merged
     from mavins.evaluation.allan import allan
     from mavins.results import write_text
-    from mavins.sources import tape_of
+    from mavins.sources import imu_of
 
-    tape, _ = tape_of(args.log, load(args.config), args.sysid)
-    result = allan(imu_of(tape.feeds))
+    result = allan(imu_of(args.log, load(args.config), args.sysid))
     if args.png is not None:
         from mavins.evaluation.allan_plot import draw_allan
 
@@ -61,20 +57,6 @@ def run(args: argparse.Namespace) -> int:
         write_text(args.out, text)
         print(f"written to {args.out}")
     return 0
-
-
-def imu_of(feeds: list[tuple[str, object]]) -> ImuTable:
-    """All IMU samples that were fed, by their stamps."""
-    import numpy as np
-
-    from mavins.types import ImuTable
-
-    tables = [what for _, what in feeds if isinstance(what, ImuTable)]
-    if not tables:
-        raise LogFormatError("the log has no IMU samples")
-    t_us, first = np.unique(np.concatenate([t.t_us for t in tables]), return_index=True)
-    accel_b = np.concatenate([t.accel_b for t in tables])[first]
-    return ImuTable(t_us, accel_b, np.concatenate([t.gyro_b for t in tables])[first])
 
 
 def lines_of(result: Allan) -> list[str]:

@@ -106,7 +106,7 @@ def _words(found: Found) -> str:
     text = f"{low:.3g} .. {high:.3g} {p.unit}"
     if not found.known:
         return f"{text}, hardly seen in the logs"
-    return f"{text}, at its bound" if p.is_at_bound(found.after) else text
+    return f"{text}, at its bound" if found.at_bound else text
 
 
 def yaml_of(result: Tuning, base: Path | None) -> str:

@@ -64,6 +64,7 @@ class Found:
     after: float
     interval: tuple[float, float]
     known: bool
+    at_bound: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,7 +144,8 @@ def tune(
         value = p.value(u)
         low, high = (s * bound for bound in p.interval(value, sigma))
         after = float(f"{min(max(s * value, p.low), p.high):.4g}")
-        found.append(Found(p, first[p.path], after, (low, high), sigma < UNKNOWN))
+        known, at_bound = sigma < UNKNOWN, p.is_at_bound(value)
+        found.append(Found(p, first[p.path], after, (low, high), known, at_bound))
     return Tuning(tuple(found), fit, held_out, thinning, replays.count)
 
 

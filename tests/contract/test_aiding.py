@@ -206,12 +206,15 @@ def test_every_filter_takes_every_aiding(
     before = state.copy()
     r, H = model_of(name)(x, u, z, parameters)
     R = np.eye(m) * 1e-3**2
-    nis, innovation, sigma = algorithm.update(state, measurement(name, z, R, parameters), math.inf)
+    nis, innovation, covariance = algorithm.update(
+        state, measurement(name, z, R, parameters), math.inf
+    )
     assert innovation == same_as(r)
     h = H[:, algorithm.layout.columns]
     S = h @ before.P @ h.T + R
     assert nis == same_as(r @ np.linalg.solve(S, r))
-    assert sigma == same_as(np.sqrt(np.diag(S)))
+    sigma = np.sqrt(np.diag(S))
+    assert covariance / np.outer(sigma, sigma) == same_as(S / np.outer(sigma, sigma))
     assert np.trace(state.P) < np.trace(before.P)
     assert_array_equal(state.P, state.P.T)
     assert np.linalg.eigvalsh(state.P)[0] > 0.0

@@ -102,4 +102,4 @@ def test_a_log_without_fixes_cannot_be_tuned(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["tune", str(standing_folder(tmp_path / "log", 10.0)), "--jobs", "1"]) == 2
-    assert "no estimate to tune by" in capsys.readouterr().err
+    assert "no GNSS fixes" in capsys.readouterr().err

@@ -32,7 +32,7 @@ class Measured:
 
 def event(t_us: int, aiding: str, rows: int, reason: str = "", nis: float = 1.5) -> Event:
     found = Event(Measured(t_us, aiding), (t_us, 0, "", 0), reason, nis)  # type: ignore[arg-type]
-    found.innovation, found.sigma = np.arange(1.0, rows + 1.0), np.full(rows, 0.5)
+    found.innovation, found.S = np.arange(1.0, rows + 1.0), 0.25 * np.eye(rows)
     return found
 
 

@@ -75,7 +75,7 @@ def decision(k: int, accepted: bool) -> Event:
     )  # type: ignore[arg-type]
     reason, nis = ("", 1.5) if accepted else ("gate", 40.0)
     event = Event(measurement, (measurement.t_us, 1, "GPS_RAW_INT", 0), reason, nis)
-    event.innovation, event.sigma = np.array([0.1 * k, -0.2]), np.array([0.3, 0.4])
+    event.innovation, event.S = np.array([0.1 * k, -0.2]), np.diag([0.09, 0.16])
     return event
 
 

@@ -211,11 +211,11 @@ def test_correlated_rows_are_fused_at_once() -> None:
     R = np.array([[2.0, 0.9, 0.1], [0.9, 1.0, -0.3], [0.1, -0.3, 0.5]])
     r = np.array([0.5, -0.4, 0.3])
     fix = observation(gnss_position, state.x[:3] + r, R, np.empty(0))
-    nis, _, sigma = algorithm.update(state, fix, math.inf)
+    nis, _, covariance = algorithm.update(state, fix, math.inf)
     # without a lever arm a position is linear: the update is Kalman's
     S = P[:3, :3] + R
     assert nis == pytest.approx(r @ np.linalg.solve(S, r))
-    assert_allclose(sigma, np.sqrt(np.diag(S)))
+    assert_allclose(covariance, S)
     d = P[:, :3] @ np.linalg.solve(S, r)
     G = np.eye(15)
     a = 0.5 * d[6:9]
