@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ from mavins.logs.sensor_log import DEFAULT, Choice
 from mavins.nav.layout import Layout
 from mavins.output_tlog import OutputLog
 from mavins.results import (
+    BIAS_SIGMAS,
     FILES,
     REPORT,
     SUMMARY,
@@ -100,7 +101,9 @@ def _replay(
             source, log, o.start, o.end, o.rate, o.smooth, [writer], progress, before
         )
     write_text(folder / "config.yaml", to_yaml(result.config))
-    write_evidence(folder / FILE, witnesses[0].evidence(source.truth, source.reference))
+    evidence = witnesses[0].evidence(source.truth, source.reference)
+    sigmas = result.table[:, BIAS_SIGMAS]
+    write_evidence(folder / FILE, replace(evidence, bias_sigmas=sigmas))
     if result.smoothed is not None:
         write_estimates(folder / "smoothed.csv", result.smoothed, layout)
     summary = dict(result.summary)

@@ -30,8 +30,7 @@ from mavins.types import FloatArray, IntArray
 ESTIMATES: Final = (
     "t_us,lat_deg,lon_deg,alt_m,p_n,p_e,p_d,v_n,v_e,v_d,roll,pitch,yaw,q_w,q_x,q_y,q_z,"
     "sd_p_n,sd_p_e,sd_p_d,sd_v_n,sd_v_e,sd_v_d,sd_roll,sd_pitch,sd_yaw,"
-    "b_g_x,b_g_y,b_g_z,b_a_x,b_a_y,b_a_z,"
-    "sd_b_g_x,sd_b_g_y,sd_b_g_z,sd_b_a_x,sd_b_a_y,sd_b_a_z"
+    "b_g_x,b_g_y,b_g_z,b_a_x,b_a_y,b_a_z"
 )
 EXTRA: Final = {
     "l_b": "l_b_x,l_b_y,l_b_z,sd_l_b_x,sd_l_b_y,sd_l_b_z",
@@ -56,13 +55,14 @@ FILES: Final = (
     "config.yaml",
 )
 """What there may be in a filter's folder, exports aside."""
-_DECIMALS: Final = np.array([10, 10, 4] + [6] * 6 + [9] * 7 + [6] * 6 + [9] * 15, dtype=np.int64)
+_DECIMALS: Final = np.array([10, 10, 4] + [6] * 6 + [9] * 7 + [6] * 6 + [9] * 9, dtype=np.int64)
 """Of each column after t_us: lat and lon in degrees to 10 um, metres and m/s to a millionth, angles to a nanoradian."""
 _HEAD: Final = "%d,%d,%s,%s,%d,%s,%.9g"
 _DECISION: Final = [_HEAD + 2 * (",%.9g" * m + "," * (3 - m)) + "\n" for m in range(4)]
 """The line of a decision on so many rows; what is not known stays empty."""
 BIAS_SIGMAS: Final = slice(WIDTH, WIDTH + 6)
-"""Where a table has the sigmas of b_g and b_a."""
+"""Where a table has the sigmas of b_g and b_a, which estimates.csv leaves to evidence.npz."""
+BIAS_SIGMA_NAMES: Final = ("sd_b_g_x", "sd_b_g_y", "sd_b_g_z", "sd_b_a_x", "sd_b_a_y", "sd_b_a_z")
 _LINES_HELD: Final = 256
 _DEGREES: Final = 180.0 / math.pi
 
@@ -99,9 +99,9 @@ class EstimatesFile:
 
     def write(self, t_us: IntArray, table: FloatArray) -> None:
         """Write the rows of a table."""
-        shown = table.copy()
+        shown = np.delete(table, BIAS_SIGMAS, axis=1)
         shown[:, :2] *= _DEGREES
-        decimals = np.append(_DECIMALS, np.full(table.shape[1] - len(_DECIMALS), 6))
+        decimals = np.append(_DECIMALS, np.full(shown.shape[1] - len(_DECIMALS), 6))
         with _or_say_so(self.file):
             self.file.write(csv_lines(t_us, shown, decimals).decode("ascii"))
 

@@ -140,12 +140,15 @@ def _mark(job: LogJob) -> dict[str, Any]:
     if job.log.is_dir():
         inside = [file.stat() for file in sorted(job.log.rglob("*")) if file.is_file()]
         size = [sum(s.st_size for s in inside), max(s.st_mtime_ns for s in inside)]
-    return {
+    mark = {
         "mavins": __version__,
         "log_bytes_and_mtime": size,
         "options": dataclasses.asdict(job.options),
         "config": to_yaml(job.config, commented=False).splitlines(),
     }
+    # as it is read back: of tuples JSON makes lists
+    read_back: dict[str, Any] = json.loads(json.dumps(mark))
+    return read_back
 
 
 def _as_written(out: Path) -> dict[str, Any] | None:

@@ -39,7 +39,7 @@ examples:
 writes: OUT/<filter>/estimates.csv, innovations.csv, config.yaml, evidence.npz, OUT/summary.json
 and OUT/report.html; with --smooth also OUT/<filter>/smoothed.csv; other formats beside them (--export).
 All of it takes the place of an earlier result at once, at the end; other files in OUT stay.
-of a folder of logs: all this in OUT/<log>/, and archive.csv and archive.json over all; what is
+of a folder of logs: all this but the report in OUT/<log>/, and archive.csv and archive.json over all; what is
 finished is not done again, and where a log could not be replayed the exit status is 1"""
 
 

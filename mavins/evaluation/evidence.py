@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import zipfile
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, Final
 
@@ -55,7 +55,10 @@ class ImuSeconds:
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """What an estimator was fed, as far as a report shows it. `yaw` are headings in rad; baro and mag only stamps."""
+    """What an estimator was fed, as far as a report shows it. `yaw` are headings in rad; baro and mag only stamps.
+
+    `bias_sigmas` (N, 6) are 1-sigma of b_g in rad/s and b_a in m/s^2 at the N estimates, which estimates.csv lacks.
+    """
 
     gnss: Gnss
     imu: ImuSeconds
@@ -66,6 +69,7 @@ class Evidence:
     baro_us: IntArray
     truth: Truth | None = None
     reference: Truth | None = None
+    bias_sigmas: FloatArray = field(default_factory=lambda: np.empty((0, 6)))
 
 
 def thinned(truth: Truth | None) -> Truth | None:
@@ -84,6 +88,7 @@ def write_evidence(path: Path, evidence: Evidence) -> None:
         "yaw": evidence.yaw,
         "mag_us": evidence.mag_us,
         "baro_us": evidence.baro_us,
+        "bias_sigmas": evidence.bias_sigmas.astype(np.float32),
     }
     arrays |= _flat("gnss", evidence.gnss) | _flat("imu", evidence.imu)
     if evidence.spectrum is not None:
@@ -125,7 +130,9 @@ def read_evidence(path: Path) -> Evidence | None:
             arrays["yaw"],
             arrays["mag_us"],
             arrays["baro_us"],
-            *(_truth(name, arrays) for name in _TRUTHS),
+            _truth("truth", arrays),
+            _truth("reference", arrays),
+            arrays["bias_sigmas"].astype(np.float64),
         )
     except (KeyError, ValueError, EOFError, OSError, zipfile.BadZipFile) as error:
         raise LogFormatError(f"{path} is damaged: {error}") from error

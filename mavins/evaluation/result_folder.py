@@ -17,7 +17,7 @@ from mavins.evaluation.errors import Errors, errors_against
 from mavins.evaluation.evidence import FILE, Evidence, read_evidence
 from mavins.logs.csv_table import read_table, with_nan
 from mavins.logs.truth import Truth
-from mavins.results import ESTIMATES, EXTRA, INNOVATIONS
+from mavins.results import BIAS_SIGMA_NAMES, ESTIMATES, EXTRA, INNOVATIONS
 from mavins.types import FloatArray, IntArray
 
 _ROW: Final = np.dtype(
@@ -38,7 +38,10 @@ _ROW: Final = np.dtype(
 
 @dataclass(frozen=True, slots=True)
 class Estimates:
-    """estimates.csv: N rows, `t_us` (N,) and the other columns (N,) by their names, in the file's units."""
+    """estimates.csv: N rows, `t_us` (N,) and the other columns (N,) by their names, in the file's units.
+
+    Where evidence was kept the sigmas of the biases are among them.
+    """
 
     t_us: IntArray
     columns: dict[str, FloatArray]
@@ -168,11 +171,14 @@ def read_result(folder: Path, filter_name: str | None = None) -> Result:
         raise LogFormatError(f"{folder} is no result folder: there is no {name}/estimates.csv")
     _, *core = ESTIMATES.split(",")
     further = [column for columns in EXTRA.values() for column in columns.split(",")]
-    sigmas = [column for column in core if column.startswith("sd_b_")]
-    table = read_table(
-        below / "estimates.csv", [c for c in core if c not in sigmas], [*sigmas, *further]
+    table, evidence = (
+        read_table(below / "estimates.csv", core, further),
+        read_evidence(below / FILE),
     )
-    estimates, evidence = Estimates(table.t_us, table.columns), read_evidence(below / FILE)
+    columns = dict(table.columns)
+    if evidence is not None and len(evidence.bias_sigmas) == len(table.t_us):
+        columns |= dict(zip(BIAS_SIGMA_NAMES, evidence.bias_sigmas.T, strict=True))
+    estimates = Estimates(table.t_us, columns)
     return Result(
         folder,
         name,

@@ -58,8 +58,8 @@ def estimates(rng: np.random.Generator) -> tuple[Estimates, Errors]:
     for name in ("sd_roll", "sd_pitch", "sd_yaw"):
         columns[name] += 0.02
     for axis in "xyz":
-        columns[f"sd_b_g_{axis}"] += 0.001
-        columns[f"sd_b_a_{axis}"] += 0.02
+        columns[f"sd_b_g_{axis}"] = np.full(len(t), 0.001)
+        columns[f"sd_b_a_{axis}"] = np.full(len(t), 0.02)
     return Estimates(t_us, columns), Errors(t_us, pos, vel, att)
 
 

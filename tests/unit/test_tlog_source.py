@@ -10,9 +10,9 @@ import pytest
 from mavins.config import load
 from mavins.errors import LogFormatError
 from mavins.logs.sensor_log import Choice
-from mavins.logs.tlog import TlogWriter
+from mavins.logs.tlog import TlogWriter, read_tlog
 from mavins.mavlink.codec import IMU_KINDS, frame, highres_imu
-from mavins.tlog_source import TlogSource
+from mavins.tlog_source import TlogSource, without_others
 from mavins.types import ImuSample
 
 T0 = 1_750_000_000_000_000
@@ -29,8 +29,11 @@ def log(tmp_path: Path) -> Path:
 
 
 def test_the_imu_message(log: Path) -> None:
-    chosen = TlogSource(log, load(), choice=Choice(imu="highres_imu"))
-    assert chosen._frames.msgid.tolist() == [105] * 20
+    TlogSource(log, load(), choice=Choice(imu="highres_imu"))
+    frames = read_tlog(log)
+    assert without_others(frames, 8, "HIGHRES_IMU").msgid.tolist() == [105] * 20
+    assert len(without_others(frames, 8, "RAW_IMU")) == 0
+    assert len(without_others(frames, 9, "RAW_IMU")) == 20
     with pytest.raises(LogFormatError, match="no IMU message called 'RAW_IMU'; it has HIGHRES_IMU"):
         TlogSource(log, load(), choice=Choice(imu="raw_imu"))
     assert IMU_KINDS[105] == "HIGHRES_IMU"
