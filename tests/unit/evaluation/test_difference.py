@@ -17,7 +17,7 @@ from mavins.errors import LogFormatError
 from mavins.evaluation.difference import difference
 from mavins.evaluation.result_folder import Estimates, Innovations, Result
 from mavins.nav.earth import TangentFrame
-from mavins.results import ESTIMATES, INNOVATIONS, write_json, write_text
+from mavins.results import BIAS_SIGMA_NAMES, ESTIMATES, INNOVATIONS, write_json, write_text
 from mavins.types import Origin
 
 N = 100
@@ -27,7 +27,7 @@ FRAME = TangentFrame.at(Origin(math.radians(47.4), math.radians(8.5), 500.0))
 
 def estimates(**columns: Any) -> Estimates:
     """Zeros with sigmas of 0.1, at 10 Hz from 1 s on; `columns` are put in their place."""
-    names = ESTIMATES.split(",")[1:]
+    names = [*ESTIMATES.split(",")[1:], *BIAS_SIGMA_NAMES]
     values = {n: np.full(N, 0.1 if n.startswith("sd_") else 0.0) for n in names}
     for name, value in columns.items():
         values[name] = np.broadcast_to(np.asarray(value, dtype=np.float64), (N,)).copy()
