@@ -72,8 +72,9 @@ def test_an_empty_folder_says_what_is_missing(tmp_path: Path) -> None:
 
 
 def test_without_matplotlib_there_is_a_hint(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("matplotlib", "matplotlib.pyplot"):
-        monkeypatch.setitem(sys.modules, name, None)
+    # another test may have had it imported
+    monkeypatch.delitem(sys.modules, "mavins.evaluation.pictures", raising=False)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
     said: list[str] = []
     assert drawing.pyplot(said.append) is None
     assert said == [drawing.HINT]
