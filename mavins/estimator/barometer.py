@@ -11,9 +11,9 @@ import math
 from typing import Final
 
 from mavins.estimator.aiding_settings import BaroSettings
+from mavins.estimator.spacing import shortest_us
 from mavins.types import BaroSample
 
-_SLACK: Final = 0.95
 _PAIR_US: Final = 500_000
 """A fix is compared with a reading no older than this."""
 _JUMPED: Final = 3
@@ -65,7 +65,7 @@ class Barometer:
         if not self.settings.enabled or not math.isfinite(sample.alt):
             return None
         self._last = sample
-        period_us = _SLACK * 1e6 / self.settings.max_rate
+        period_us = shortest_us(self.settings.max_rate)
         if math.isnan(self.offset) or (
             self._taken_us is not None and abs(sample.t_us - self._taken_us) < period_us
         ):

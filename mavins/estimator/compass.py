@@ -8,19 +8,16 @@ from __future__ import annotations
 
 import math
 from functools import cache
-from typing import Final
 
 import numpy as np
 
 from mavins.errors import ConfigError
 from mavins.estimator.aiding_settings import MagnetometerSettings
 from mavins.estimator.alignment import level
+from mavins.estimator.spacing import shortest_us
 from mavins.nav.earth import TangentFrame
 from mavins.nav.so3 import euler_to_quat, quat_to_dcm
 from mavins.types import FloatArray, MagSample
-
-SLACK: Final = 0.95
-"""Stamps on a grid must not fall just short of the highest rate."""
 
 
 class Compass:
@@ -37,9 +34,8 @@ class Compass:
         """The field's direction (3,) in b; None where there is none, or the last was taken too short a time ago."""
         if self._settings.enabled is not True:
             return None
-        if (
-            self._taken_us is not None
-            and abs(sample.t_us - self._taken_us) < SLACK * 1e6 / self._settings.max_rate
+        if self._taken_us is not None and abs(sample.t_us - self._taken_us) < shortest_us(
+            self._settings.max_rate
         ):
             return None
         field_b = self._C_bs @ (sample.field - self._hard_iron)

@@ -9,8 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from mavins.estimator.feed import Feed
-from mavins.estimator.settings import Settings
+from mavins.estimator.feed import Feed, Relay
 from mavins.estimator.vibration import CLIP
 from mavins.evaluation.evidence import Evidence, Gnss, ImuSeconds, thinned
 from mavins.evaluation.spectrum import Welch
@@ -23,7 +22,6 @@ from mavins.types import (
     ImuTable,
     IntArray,
     MagSample,
-    Origin,
 )
 
 _BLOCK: Final = 16_384
@@ -33,11 +31,11 @@ _BIN_US: Final = 100
 _BINS: Final = 2_000
 
 
-class Witness:
-    """A `Feed` in front of another (estimator/feed.py)."""
+class Witness(Relay):
+    """Stands in front of a `Feed` (estimator/feed.py)."""
 
     def __init__(self, feed: Feed) -> None:
-        self._feed = feed
+        super().__init__(feed)
         self._tables: list[ImuTable] = []
         self._waiting = 0
         self._seconds = _Seconds()
@@ -47,34 +45,9 @@ class Witness:
         self._mag: list[int] = []
         self._baro: list[int] = []
 
-    @property
-    def settings(self) -> Settings:
-        """Those of whom it stands in front of."""
-        return self._feed.settings
-
-    @settings.setter
-    def settings(self, settings: Settings) -> None:
-        self._feed.settings = settings
-
-    def set_origin(self, origin: Origin) -> None:
-        """Hand on an origin."""
-        self._feed.set_origin(origin)
-
-    def reconfigure(self, settings: Settings, filter_name: str = "") -> None:
-        """Hand on other settings."""
-        self._feed.reconfigure(settings, filter_name)
-
-    def restart(self, reason: str) -> None:
-        """Hand on a new beginning."""
-        self._feed.restart(reason)
-
-    def calibrate(self, reason: str) -> bool:
-        """Hand on the wish."""
-        return self._feed.calibrate(reason)
-
     def feed_imu(self, table: ImuTable) -> None:
         """Hand on IMU samples, and keep them until they are enough to be looked at."""
-        self._feed.feed_imu(table)
+        super().feed_imu(table)
         self._tables.append(table)
         self._waiting += len(table)
         if self._waiting >= _BLOCK:
@@ -82,7 +55,7 @@ class Witness:
 
     def feed_gnss(self, fix: GnssFix) -> None:
         """Hand on and keep a GNSS fix."""
-        self._feed.feed_gnss(fix)
+        super().feed_gnss(fix)
         v = fix.v_l or (np.nan, np.nan, np.nan)
         claims = (fix.satellites, fix.sigma_h, fix.sigma_v, fix.sigma_speed)
         known = (np.nan if claim is None else claim for claim in claims)
@@ -90,17 +63,17 @@ class Witness:
 
     def feed_heading(self, fix: HeadingFix) -> None:
         """Hand on and keep a heading."""
-        self._feed.feed_heading(fix)
+        super().feed_heading(fix)
         self._headings.append((fix.t_us, fix.yaw))
 
     def feed_mag(self, sample: MagSample) -> None:
         """Hand on a magnetometer's reading, and keep its stamp."""
-        self._feed.feed_mag(sample)
+        super().feed_mag(sample)
         self._mag.append(sample.t_us)
 
     def feed_baro(self, sample: BaroSample) -> None:
         """Hand on a barometer's reading, and keep its stamp."""
-        self._feed.feed_baro(sample)
+        super().feed_baro(sample)
         self._baro.append(sample.t_us)
 
     def evidence(self, truth: Truth | None = None, reference: Truth | None = None) -> Evidence:

@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import compress
 from typing import TypeAlias, TypeVar
 
 import numpy as np
 
 from mavins.estimator.aiding_settings import MagnetometerSettings
-from mavins.estimator.compass import SLACK
 from mavins.estimator.feed import Feed
 from mavins.estimator.settings import Settings
+from mavins.estimator.spacing import shortest_us
 from mavins.logs.mag_calibration import calibrate
 from mavins.logs.sensor_log import SensorLog
 from mavins.nav.so3 import euler_to_quat, quat_to_dcm
 from mavins.types import BaroSample, GnssFix, HeadingFix, ImuTable, MagSample
 
 SettingsT = TypeVar("SettingsT", bound=Settings)
-SampleT = TypeVar("SampleT", MagSample, BaroSample)
 Reading: TypeAlias = GnssFix | HeadingFix | MagSample | BaroSample
 
 
@@ -78,22 +79,23 @@ def _arrivals(log: SensorLog, settings: Settings) -> list[tuple[Reading, bool]]:
     delay, baro = settings.gnss.delay, settings.baro
     fixes = (fix if delay == "auto" else replace(fix, delay=delay) for fix in log.gnss)
     headings = (replace(fix, delay=settings.heading.delay) for fix in log.headings)
-    mag = _due(log.mag, settings.magnetometer.max_rate)
+    mag = compress(log.mag, _due(log.mag, settings.magnetometer.max_rate))
     levels = log.baro if baro.enabled else []
-    fused = {id(sample) for sample in _due(levels, baro.max_rate)}
     placed: list[Reading] = [*fixes, *headings, *mag]
     arrivals: list[tuple[Reading, bool]] = [(item, True) for item in placed]
-    arrivals += [(sample, id(sample) in fused) for sample in levels]
+    arrivals += zip(levels, _due(levels, baro.max_rate), strict=True)
     arrivals.sort(key=lambda arrival: arrival[0].t_us)
     return arrivals
 
 
-def _due(readings: Sequence[SampleT], max_rate: float) -> list[SampleT]:
-    """The readings that are not too soon after the one before, by the estimator's own rule."""
-    period_us, due = SLACK * 1e6 / max_rate, list[SampleT]()
+def _due(readings: Sequence[MagSample | BaroSample], max_rate: float) -> list[bool]:
+    """True for the readings that are not too soon after the last such one, by the estimator's own rule."""
+    due: list[bool] = []
+    last_us = -math.inf
     for reading in readings:
-        if not due or reading.t_us - due[-1].t_us >= period_us:
-            due.append(reading)
+        due.append(reading.t_us - last_us >= shortest_us(max_rate))
+        if due[-1]:
+            last_us = reading.t_us
     return due
 
 

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Any, ClassVar, Final, Protocol
 
 from mavins.estimator.feed import Feed
+from mavins.estimator.spacing import shortest_us
 from mavins.mavlink.clock import Clock, is_unix
 from mavins.mavlink.codec import Attitude, GlobalPosition, GpsInput, GpsRaw, HilGps, fields_of
 from mavins.mavlink.sources import Sources
@@ -18,8 +19,6 @@ PAIR_US: Final = 1_500_000
 VERTICAL_US: Final = 250_000
 REMEMBERED: Final = 50
 """So many stamps of fixes and headings are kept to know a repeated one by."""
-_SLACK: Final = 0.95
-"""Stamps on a grid must not fall just short of the highest rate."""
 _ATTITUDE_ID: Final = fields_of("ATTITUDE").msgid
 _RECEIVER_IDS: Final = frozenset(fields_of(name).msgid for name in ("GPS_RAW_INT", "GPS2_RAW"))
 _GLOBAL_POSITION_ID: Final = fields_of("GLOBAL_POSITION_INT").msgid
@@ -73,7 +72,7 @@ class Fixes:
     def sources(self, sources: Sources) -> None:
         self._sources = sources
         rate = sources.heading_rate
-        self._heading_gap_us = 0.0 if rate is None else _SLACK * 1e6 / rate
+        self._heading_gap_us = 0.0 if rate is None else shortest_us(rate)
         idle = {*_NEVER_USED, *(_RECEIVER_IDS - {fields_of(sources.receiver).msgid})}
         if sources.heading != "attitude":
             idle.add(_ATTITUDE_ID)

@@ -14,6 +14,7 @@ import numpy as np
 
 from mavins.estimator.feed import Feed
 from mavins.estimator.settings import Settings
+from mavins.estimator.spacing import shortest_us
 from mavins.mavlink.clock import Clock, ImuTimes
 from mavins.mavlink.codec import (
     IMU_KINDS,
@@ -239,7 +240,7 @@ class Intake:
 
     def _due(self, t_us: IntArray, field: FloatArray) -> list[int]:
         """The rows whose reading follows the last one no sooner than the settings allow."""
-        interval = 0.95e6 / self._tuning.magnetometer.max_rate
+        interval = shortest_us(self._tuning.magnetometer.max_rate)
         due = []
         for row in np.flatnonzero(np.isfinite(field[:, 0])).tolist():
             stamp_us = int(t_us[row])
