@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavins.evaluation.errors import interpolate_truth
-from mavins.logs.truth import Truth, quats_of
+from mavins.logs.truth import Truth
 from mavins.mavlink.codec import IMU_KINDS, Frames, fields_of, payload_rows
 from mavins.mavlink.sources import ARDUPILOT, PX4
+from mavins.nav.rotations import euler_to_quats
 from mavins.types import FloatArray, IntArray
 
 NAME: Final = "autopilot"
@@ -65,7 +66,7 @@ class AutopilotReference:
         lla, v_l, _, inside = interpolate_truth(t_us, at_us, moves[:, :3], moves[:, 3:], level)
         outside = np.logical_not(inside)
         lla[outside] = v_l[outside] = np.nan
-        return Truth(t_us, lla, v_l, quats_of(angles), NAME)
+        return Truth(t_us, lla, v_l, euler_to_quats(angles), NAME)
 
 
 def _boot_us(rows: NDArray[np.void]) -> IntArray:

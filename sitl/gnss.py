@@ -18,8 +18,8 @@ import numpy as np
 from annotated_types import Ge, Le
 
 from mavins.nav.earth import TangentFrame
+from mavins.nav.rotations import quats_to_dcms
 from mavins.types import FloatArray, GnssFix, IntArray
-from sitl.rotations import quats_to_dcms
 from sitl.settings import NonNegative, Positive, Rate, Settings
 from sitl.trajectory import Kinematics
 

@@ -18,6 +18,7 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from mavins.nav.rotations import yaws_of
 from mavins.types import (
     FloatArray,
     GnssFix,
@@ -30,7 +31,6 @@ from mavins.types import (
 from sitl.gnss import Receiver
 from sitl.heading import Compass
 from sitl.imu import Triad
-from sitl.rotations import yaws_of
 from sitl.scenario import Scenario
 from sitl.trajectory import Kinematics, Trajectory
 

@@ -21,10 +21,10 @@ from pydantic import Field
 
 from mavins.errors import ScenarioError
 from mavins.nav.earth import TangentFrame
+from mavins.nav.rotations import euler_to_quats, quats_to_dcms, rates_of
 from mavins.types import FloatArray, Origin
 from sitl.frames import gravity_along, to_local_level
 from sitl.plan import Segment, commanded
-from sitl.rotations import euler_to_quats, quats_to_dcms, rates_of
 from sitl.settings import Positive, Settings
 from sitl.spline import UniformSpline, quintic, sharpen
 

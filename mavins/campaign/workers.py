@@ -169,7 +169,8 @@ def _on_cluster(
         futures = client.map(task, jobs, pure=False)
         places = {future.key: k for k, future in enumerate(futures)}
         try:
-            for future in distributed.as_completed(futures):
+            # the loop of this client: the default one may be another's, or there may be none
+            for future in distributed.as_completed(futures, loop=client.loop):
                 yield places[future.key], _outcome(future)
                 future.release()
         finally:

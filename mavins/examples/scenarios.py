@@ -16,8 +16,8 @@ from mavins.evaluation.tape import Tape
 from mavins.logs.truth import Truth
 from mavins.nav.earth import TangentFrame
 from mavins.nav.layout import X_L, X_P, X_Q, X_SIZE, X_TAU, X_V
+from mavins.nav.rotations import yaws_of
 from mavins.types import FloatArray, GnssFix, HeadingFix, ImuTable, IntArray, Origin
-from sitl.rotations import yaws_of
 from sitl.scenario import Scenario
 from sitl.simulation import START_US, simulate
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from mavins.errors import LogFormatError
 from mavins.evaluation.result_folder import Result
+from mavins.nav.rotations import quat_product
 from mavins.types import FloatArray, IntArray
 
 TRACK_US: Final = 500_000
@@ -85,7 +86,7 @@ def attitude_in_n(result: Result) -> FloatArray:
         np.radians(estimates.columns["lat_deg"]), np.radians(estimates.columns["lon_deg"])
     )
     q_ne = _level_to_earth(np.array([lat]), np.array([lon])) * np.array([1.0, -1.0, -1.0, -1.0])
-    return _product(_product(q_ne, q_el), estimates.stack("q_w", "q_x", "q_y", "q_z"))
+    return quat_product(quat_product(q_ne, q_el), estimates.stack("q_w", "q_x", "q_y", "q_z"))
 
 
 def _level_to_earth(lat: FloatArray, lon: FloatArray) -> FloatArray:
@@ -93,18 +94,4 @@ def _level_to_earth(lat: FloatArray, lon: FloatArray) -> FloatArray:
     a, b, zero = 0.5 * lon, -0.5 * (lat + 0.5 * np.pi), np.zeros_like(lat)
     about_z = np.column_stack([np.cos(a), zero, zero, np.sin(a)])
     about_y = np.column_stack([np.cos(b), zero, np.sin(b), zero])
-    return _product(about_z, about_y)
-
-
-def _product(p: FloatArray, q: FloatArray) -> FloatArray:
-    """Hamilton products (N, 4), row by row."""
-    p0, p1, p2, p3 = p.T
-    q0, q1, q2, q3 = q.T
-    return np.column_stack(
-        [
-            p0 * q0 - p1 * q1 - p2 * q2 - p3 * q3,
-            p0 * q1 + p1 * q0 + p2 * q3 - p3 * q2,
-            p0 * q2 - p1 * q3 + p2 * q0 + p3 * q1,
-            p0 * q3 + p1 * q2 - p2 * q1 + p3 * q0,
-        ]
-    )
+    return quat_product(about_z, about_y)

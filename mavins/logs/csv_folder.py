@@ -16,7 +16,8 @@ import numpy as np
 from mavins.errors import LogFormatError
 from mavins.logs.csv_table import CsvTable, find_table, read_table
 from mavins.logs.sensor_log import DEFAULT, Choice, SensorLog
-from mavins.logs.truth import Truth, quats_of
+from mavins.logs.truth import Truth
+from mavins.nav.rotations import euler_to_quats
 from mavins.types import BaroSample, GnssFix, HeadingFix, ImuTable, MagSample
 
 _LLA: Final = ("lat_deg", "lon_deg", "alt_m")
@@ -145,7 +146,7 @@ def _truth(table: CsvTable | None) -> Truth | None:
         return None
     table = table.select(np.unique(table.t_us, return_index=True)[1])
     euler = table.stack(*_EULER)
-    q_lb = quats_of(euler)
+    q_lb = euler_to_quats(euler)
     lat, lon = np.radians(table.stack(*_LLA[:2])).T
     source = table.path.name.partition(".")[0] + ".csv"
     lla = np.column_stack([lat, lon, table.column("alt_m")])

@@ -21,8 +21,9 @@ from mavins.errors import LogFormatError
 from mavins.logs.cleaning import Cleaner
 from mavins.logs.number_text import head_of, read_numbers
 from mavins.logs.sensor_log import DEFAULT, Choice, SensorLog, chosen
-from mavins.logs.truth import Truth, quats_of
+from mavins.logs.truth import Truth
 from mavins.mavlink.codec.checks import MAX_ACCEL, MAX_ALTITUDE, MAX_GYRO, MAX_SPEED
+from mavins.nav.rotations import euler_to_quats
 from mavins.types import FloatArray, GnssFix, ImuTable, IntArray
 
 _WEEK_US: Final = 604_800_000_000
@@ -170,6 +171,6 @@ def _fixes(rows: FloatArray, name: str, clean: Cleaner) -> list[GnssFix]:
 def _truth(rows: FloatArray, name: str, clean: Cleaner) -> Truth:
     t_us = _stamps(rows[:, 1])
     rows = rows[(kept := clean.rows("truth", t_us, np.isfinite(rows).all(axis=1)))]
-    q_lb = quats_of(np.radians(rows[:, 8:11]))
+    q_lb = euler_to_quats(np.radians(rows[:, 8:11]))
     lla = np.column_stack([np.radians(rows[:, 2:4]), rows[:, 4]])
     return Truth(t_us[kept], lla, rows[:, 5:8], q_lb.reshape(-1, 4), name)

@@ -51,20 +51,6 @@ def truth_of(frames: Frames, sysid: int) -> Truth | None:
     return _hil_state(frames, sysid) or _sim_state(frames, sysid)
 
 
-def quats_of(euler: FloatArray) -> FloatArray:
-    """Unit quaternions (N, 4), scalar first, of roll, pitch and yaw in rad (N, 3)."""
-    half = euler * 0.5
-    (cr, cp, cy), (sr, sp, sy) = np.cos(half).T, np.sin(half).T
-    return np.column_stack(
-        [
-            cr * cp * cy + sr * sp * sy,
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-        ]
-    )
-
-
 def joined(parts: Sequence[Truth]) -> Truth | None:
     """Parts of a truth, one after the other, as one; None for none."""
     if len(parts) < 2:

@@ -11,7 +11,8 @@ from typing import Final
 import numpy as np
 
 from mavins.logs.dataflash.channels import Channel, Reading
-from mavins.logs.truth import Truth, quats_of
+from mavins.logs.truth import Truth
+from mavins.nav.rotations import euler_to_quats
 from mavins.types import FloatArray, IntArray
 
 _SPHERE: Final = 6378100.0
@@ -153,7 +154,7 @@ def _home(
 
 def _quat(euler: FloatArray) -> FloatArray:
     """Unit quaternions (N, 4) of roll, pitch, yaw in degrees (N, 3 or more)."""
-    return quats_of(np.radians(euler[:, :3]))
+    return euler_to_quats(np.radians(euler[:, :3]))
 
 
 def _between(at_us: IntArray, t_us: IntArray, q: FloatArray) -> FloatArray:

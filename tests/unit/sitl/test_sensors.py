@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
+from mavins.nav.rotations import quats_to_dcms
 from sitl import scenario
 from sitl.gnss import NO_FIX, GnssSettings, Markov, MarkovSettings, Receiver, ReportedSettings
 from sitl.heading import Compass, HeadingSettings
 from sitl.imu import Triad, TriadSettings
-from sitl.rotations import quats_to_dcms
 from sitl.simulation import START_US
 
 PERFECT = GnssSettings(sigma_h=0.0, sigma_v=0.0, sigma_speed=0.0)

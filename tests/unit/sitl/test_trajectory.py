@@ -9,10 +9,10 @@ from scipy.integrate import solve_ivp
 from mavins.errors import ScenarioError
 from mavins.nav import so3
 from mavins.nav.earth import gravity_n
+from mavins.nav.rotations import euler_to_quats, quat_product, quats_to_dcms, yaws_of
 from mavins.types import Origin
 from sitl import scenario
 from sitl.plan import Go, Hover, commanded, travel_time, travelled
-from sitl.rotations import euler_to_quats, quat_product, quats_to_dcms, yaws_of
 from sitl.trajectory import Plan, build, tilt
 
 NAMES = scenario.names()

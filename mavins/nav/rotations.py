@@ -1,4 +1,7 @@
-"""Rotations of many instants at once: quaternions in rows (N, 4), as in mavins.nav.so3."""
+"""Rotations of many instants at once: quaternions in rows (N, 4), as in mavins.nav.so3.
+
+Theory: docs/theory/attitude.md.
+"""
 
 from __future__ import annotations
 
