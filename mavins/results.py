@@ -19,10 +19,21 @@ import numpy as np
 
 from mavins.errors import OutputError
 from mavins.estimator.fusion import Event
-from mavins.estimator.solution import WIDTH, describe
+from mavins.estimator.solution import (
+    B_A,
+    B_G,
+    EULER,
+    P_N,
+    SD_EULER,
+    SD_P,
+    SD_V,
+    V_L,
+    WIDTH,
+    describe,
+)
 from mavins.filters.base import RowBlock
 from mavins.nav.earth import TangentFrame
-from mavins.nav.layout import BLOCKS, Layout
+from mavins.nav.layout import BLOCKS, Layout, size_of
 from mavins.status import finite
 from mavins.table_text import csv_lines
 from mavins.types import FloatArray, IntArray
@@ -60,50 +71,79 @@ _DECIMALS: Final = np.array([10, 10, 4] + [6] * 6 + [9] * 7 + [6] * 6 + [9] * 9,
 _HEAD: Final = "%d,%d,%s,%s,%d,%s,%.9g"
 _DECISION: Final = [_HEAD + 2 * (",%.9g" * m + "," * (3 - m)) + "\n" for m in range(4)]
 """The line of a decision on so many rows; what is not known stays empty."""
-BIAS_SIGMAS: Final = slice(WIDTH, WIDTH + 6)
+BIAS_SIGMAS: Final = slice(-6, None)
 """Where a table has the sigmas of b_g and b_a, which estimates.csv leaves to evidence.npz."""
-BIAS_SIGMA_NAMES: Final = ("sd_b_g_x", "sd_b_g_y", "sd_b_g_z", "sd_b_a_x", "sd_b_a_y", "sd_b_a_z")
 _LINES_HELD: Final = 256
+_ROWS_AT_ONCE: Final = 1 << 14
 _DEGREES: Final = 180.0 / math.pi
 
 
-def further(layout: Layout) -> dict[str, tuple[slice, slice]]:
-    """Where a table has the values and the sigmas of the states beyond 15."""
-    places, begin = {}, BIAS_SIGMAS.stop
-    for name in EXTRA:
-        if name in layout.blocks:
-            n = BLOCKS[name].stop - BLOCKS[name].start
-            places[name] = (slice(begin, begin + n), slice(begin + n, begin + 2 * n))
-            begin += 2 * n
-    return places
+_PLACES: Final = {
+    "p_n": (P_N, SD_P),
+    "v": (V_L, SD_V),
+    "euler": (EULER, SD_EULER),
+    "b_g": (B_G, slice(-6, -3)),
+    "b_a": (B_A, slice(-3, None)),
+}
+
+
+def places(layout: Layout) -> dict[str, tuple[slice, slice]]:
+    """Where a table has the values and the sigmas of a state."""
+    found, begin = dict(_PLACES), WIDTH
+    for name in _further(layout):
+        n = size_of(name)
+        found[name] = (slice(begin, begin + n), slice(begin + n, begin + 2 * n))
+        begin += 2 * n
+    return found
+
+
+def width(layout: Layout) -> int:
+    """How many columns a table has."""
+    return WIDTH + sum(2 * size_of(name) for name in _further(layout)) + 6
+
+
+def columns(layout: Layout) -> list[str]:
+    """The columns of estimates.csv after t_us."""
+    return ",".join([ESTIMATES, *(EXTRA[name] for name in _further(layout))]).split(",")[1:]
 
 
 def table_of(block: RowBlock, frame: TangentFrame, layout: Layout) -> FloatArray:
-    """A block's estimates as a table (N, 37 + k): described rows, the biases' sigmas, then the further states."""
+    """A block's estimates as a table (N, 37 + k): described rows, the further states, then the biases' sigmas."""
     n = block.count
     rows = np.empty((n, WIDTH))
     describe(block.x[:n], block.P[:n], frame.r0_e, frame.C_ne, rows)
     sigmas = layout.sigmas(block.P[:n])
-    parts = [rows, sigmas[:, BLOCKS["b_g"]], sigmas[:, BLOCKS["b_a"]]]
-    for name in further(layout):
-        columns = BLOCKS[name]
-        parts += [block.x[:n, columns.start + 1 : columns.stop + 1], sigmas[:, columns]]
-    return np.hstack(parts)
+    parts = [rows]
+    for name in _further(layout):
+        at = BLOCKS[name]
+        parts += [block.x[:n, at.start + 1 : at.stop + 1], sigmas[:, at]]
+    return np.hstack([*parts, sigmas[:, BLOCKS["b_g"]], sigmas[:, BLOCKS["b_a"]]])
+
+
+def _further(layout: Layout) -> list[str]:
+    return [name for name in EXTRA if name in layout.blocks]
+
+
+def as_shown(table: FloatArray) -> tuple[FloatArray, IntArray]:
+    """What estimates.csv shows of a table (N, 31 + k), in degrees where it does, and with how many decimals."""
+    shown = table[:, : BIAS_SIGMAS.start].copy()
+    shown[:, :2] *= _DEGREES
+    return shown, np.append(_DECIMALS, np.full(shown.shape[1] - len(_DECIMALS), 6))
 
 
 class EstimatesFile:
     """A CSV file of estimates, over the states of a layout."""
 
     def __init__(self, path: Path, layout: Layout) -> None:
-        self.file = _open(path, ",".join([ESTIMATES, *(EXTRA[name] for name in further(layout))]))
+        self.file = _open(path, ",".join(["t_us", *columns(layout)]))
 
     def write(self, t_us: IntArray, table: FloatArray) -> None:
         """Write the rows of a table."""
-        shown = np.delete(table, BIAS_SIGMAS, axis=1)
-        shown[:, :2] *= _DEGREES
-        decimals = np.append(_DECIMALS, np.full(shown.shape[1] - len(_DECIMALS), 6))
-        with _or_say_so(self.file):
-            self.file.write(csv_lines(t_us, shown, decimals).decode("ascii"))
+        for k in range(0, len(t_us), _ROWS_AT_ONCE):
+            part = slice(k, k + _ROWS_AT_ONCE)
+            text = csv_lines(t_us[part], *as_shown(table[part])).decode("ascii")
+            with _or_say_so(self.file):
+                self.file.write(text)
 
     def close(self) -> None:
         """Write what is buffered and close the file."""

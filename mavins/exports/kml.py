@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 from xml.sax.saxutils import XMLGenerator
 
-from mavins.evaluation.result_folder import Result
+from mavins.estimates import Result
 from mavins.exports.places import Stretch, tracks, utc_offset_us, utc_texts
 from mavins.exports.xml_text import element, leaf
 
