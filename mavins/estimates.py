@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from array import array
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, Final
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mavins.config import Config
-from mavins.estimator.fusion import Event
 from mavins.estimator.solution import EULER, LLA, P_N, Q_LB, V_L
 from mavins.evaluation.errors import Errors, errors_against
 from mavins.evaluation.evidence import Evidence
@@ -22,11 +20,6 @@ from mavins.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-_HEAD: Final = 6
-"""Numbers of a decision before its innovation: t_us, stamp_us, words, accepted, nis, rows."""
-_ROWS: Final = 3
-"""The most rows a measurement has."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,6 +147,19 @@ class Innovations:
         return Innovations(*(getattr(self, column.name)[which] for column in fields(self)))
 
 
+def by_aiding(decisions: Mapping[str, NDArray[Any]]) -> dict[str, Innovations]:
+    """The columns of decisions on all aidings together, three of each innovation and sigma, as each aiding's own."""
+    found, aiding = {}, decisions["aiding"]
+    for name in dict.fromkeys(aiding.tolist()):
+        part = Innovations(*(decisions[column.name] for column in fields(Innovations)))
+        part = part.select(aiding == name)
+        rows = max(1, int(np.isfinite(part.innovation).any(axis=0).sum()))
+        found[name] = replace(
+            part, innovation=part.innovation[:, :rows], sigma=part.sigma[:, :rows]
+        )
+    return found
+
+
 @dataclass(frozen=True, slots=True)
 class Result(Estimates):
     """A run of the estimator over a log, as `mavins.run` makes it or `read_result` finds it in a folder.
@@ -205,41 +211,3 @@ class Result(Estimates):
             hint = "matplotlib is not installed; install it with: pip install 'mavins[report]'"
             raise ModuleNotFoundError(hint, name=error.name) from error
         return plot_result(self)
-
-
-class Decisions:
-    """Keeps decisions in few bytes until they are asked for."""
-
-    def __init__(self) -> None:
-        self._numbers: dict[str, array[float]] = {}
-        self._words: dict[tuple[str, str], int] = {}
-
-    def keep(self, event: Event) -> None:
-        """Keep a decision."""
-        m = event.measurement
-        r, sigma = event.innovation.tolist(), event.sigma.tolist()
-        lack = [np.nan] * (_ROWS - len(r))
-        word = self._words.setdefault((m.source, event.reason), len(self._words))
-        head = (m.t_us, m.stamp_us, word, event.accepted, event.nis, len(r))
-        numbers = self._numbers.setdefault(m.aiding, array("d"))
-        numbers.extend((*head, *r, *lack, *sigma, *lack))
-
-    def by_aiding(self) -> dict[str, Innovations]:
-        """All that was kept, as arrays."""
-        return {name: self._of(np.array(numbers)) for name, numbers in self._numbers.items()}
-
-    def _of(self, numbers: FloatArray) -> Innovations:
-        n = numbers.reshape(-1, _HEAD + 2 * _ROWS)
-        t_us, stamp_us, word, accepted = n[:, :4].astype(np.int64).T
-        source, reason = (np.array(words)[word] for words in zip(*self._words, strict=True))
-        rows = max(1, int(n[:, _HEAD - 1].max()))
-        return Innovations(
-            t_us,
-            stamp_us,
-            source,
-            accepted == 1,
-            reason,
-            n[:, _HEAD - 2],
-            n[:, _HEAD : _HEAD + rows],
-            n[:, _HEAD + _ROWS : _HEAD + _ROWS + rows],
-        )

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import math
 import tempfile
+from array import array
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -16,6 +17,7 @@ from types import TracebackType
 from typing import IO, Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavins.errors import OutputError
 from mavins.estimator.fusion import Event
@@ -68,12 +70,13 @@ FILES: Final = (
 """What there may be in a filter's folder, exports aside."""
 _DECIMALS: Final = np.array([10, 10, 4] + [6] * 6 + [9] * 7 + [6] * 6 + [9] * 9, dtype=np.int64)
 """Of each column after t_us: lat and lon in degrees to 10 um, metres and m/s to a millionth, angles to a nanoradian."""
-_HEAD: Final = "%d,%d,%s,%s,%d,%s,%.9g"
-_DECISION: Final = [_HEAD + 2 * (",%.9g" * m + "," * (3 - m)) + "\n" for m in range(4)]
-"""The line of a decision on so many rows; what is not known stays empty."""
+_NUMBERS: Final = 10
+"""Of a decision: t_us, stamp_us, its kind, nis, innovation (3), variance (3)."""
+_LACK: Final = [[math.nan] * (3 - m) for m in range(4)]
 BIAS_SIGMAS: Final = slice(-6, None)
 """Where a table has the sigmas of b_g and b_a, which estimates.csv leaves to evidence.npz."""
 _LINES_HELD: Final = 256
+_LINES_AT_ONCE: Final = 1 << 12
 _ROWS_AT_ONCE: Final = 1 << 14
 _DEGREES: Final = 180.0 / math.pi
 
@@ -151,6 +154,67 @@ class EstimatesFile:
             self.file.close()
 
 
+class Decisions:
+    """Final decisions in the order in which they were made, in few bytes."""
+
+    def __init__(self) -> None:
+        self._numbers = array("d")
+        self._kinds: dict[tuple[str, str, str, int], int] = {}
+
+    def __len__(self) -> int:
+        return len(self._numbers) // _NUMBERS
+
+    def keep(self, event: Event) -> None:
+        """Keep a decision."""
+        m, r = event.measurement, event.innovation.tolist()
+        kind = (m.aiding, m.source, event.reason, len(r))
+        lack, variances = _LACK[len(r)], event.S.diagonal().tolist()
+        head = (m.t_us, m.stamp_us, self._kinds.setdefault(kind, len(self._kinds)), event.nis)
+        self._numbers.extend((*head, *r, *lack, *variances, *lack))
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """All of them by the names of `Innovations` (mavins/estimates.py), and their aiding; nan for lacking rows."""
+        n, which = self._table()
+        words = [kind[:3] for kind in self._kinds]
+        aiding, source, reason = np.array(words, dtype=np.str_).reshape(-1, 3)[which].T
+        return {
+            "t_us": n[:, 0].astype(np.int64),
+            "stamp_us": n[:, 1].astype(np.int64),
+            "aiding": aiding,
+            "source": source,
+            "accepted": reason == "",
+            "reason": reason,
+            "nis": n[:, 3],
+            "innovation": n[:, 4:7],
+            "sigma": n[:, 7:10],
+        }
+
+    def lines(self) -> Iterator[str]:
+        """The lines of innovations.csv, some at a time; what is not known stays empty."""
+        n, which = self._table()
+        for k in range(0, len(n), _LINES_AT_ONCE):
+            part = slice(k, k + _LINES_AT_ONCE)
+            lines = np.empty(len(n[part]), dtype=np.object_)
+            for number, kind in enumerate(self._kinds):
+                of_kind = which[part] == number
+                line, m = _line_of(*kind), kind[-1]
+                rows = n[part][of_kind][:, [0, 1, 3, *range(4, 4 + m), *range(7, 7 + m)]].tolist()
+                lines[of_kind] = [line % tuple(row) for row in rows]
+            yield "".join(lines).replace("nan", "")
+
+    def _table(self) -> tuple[FloatArray, IntArray]:
+        """The numbers (N, 10), with sigmas for variances, and the kinds (N,)."""
+        n = np.array(self._numbers).reshape(-1, _NUMBERS)
+        n[:, 7:] = np.sqrt(np.where(n[:, 7:] >= 0.0, n[:, 7:], np.nan))
+        return n, n[:, 2].astype(np.int64)
+
+
+def _line_of(aiding: str, source: str, reason: str, rows: int) -> str:
+    """How a line of innovations.csv is made of t_us, stamp_us, nis and so many innovations and sigmas."""
+    words = f"{aiding},{source},{not reason:d},{reason}".replace("%", "%%")
+    return f"%d,%d,{words},%.9g" + 2 * (",%.9g" * rows + "," * (3 - rows)) + "\n"
+
+
 class ResultWriter:
     """Writes rows and decisions as they come."""
 
@@ -158,7 +222,7 @@ class ResultWriter:
         self._layout = layout
         self._estimates = EstimatesFile(folder / "estimates.csv", layout)
         self._innovations = _open(folder / "innovations.csv", INNOVATIONS)
-        self._lines: list[str] = []
+        self._decisions = Decisions()
         self.rows = 0
 
     def write_rows(self, block: RowBlock, frame: TangentFrame) -> None:
@@ -172,31 +236,30 @@ class ResultWriter:
 
     def write_decision(self, event: Event) -> None:
         """Write the final decision on a measurement."""
-        m = event.measurement
-        r, sigma = event.innovation.tolist(), event.sigma.tolist()
-        head = (m.t_us, m.stamp_us, m.aiding, m.source, event.accepted, event.reason, event.nis)
-        self._lines.append(_DECISION[len(r)] % (*head, *r, *sigma))
-        if len(self._lines) >= _LINES_HELD:
-            self._write_lines()
+        self._decisions.keep(event)
+        if len(self._decisions) >= _LINES_HELD:
+            self._write_held()
 
-    def _write_lines(self) -> None:
-        if not self._lines:
-            return
-        lines = "".join(self._lines).replace("nan", "")
-        self._lines.clear()
-        with _or_say_so(self._innovations):
-            self._innovations.write(lines)
+    def write_decisions(self, decisions: Decisions) -> None:
+        """Write all of them."""
+        for lines in decisions.lines():
+            with _or_say_so(self._innovations):
+                self._innovations.write(lines)
+
+    def _write_held(self) -> None:
+        held, self._decisions = self._decisions, Decisions()
+        self.write_decisions(held)
 
     def flush(self) -> None:
         """Hand what is buffered to the operating system."""
-        self._write_lines()
+        self._write_held()
         for file in (self._estimates.file, self._innovations):
             with _or_say_so(file):
                 file.flush()
 
     def close(self) -> None:
         """Write what is buffered and close the files."""
-        self._write_lines()
+        self._write_held()
         for file in (self._estimates.file, self._innovations):
             with _or_say_so(file):
                 file.close()

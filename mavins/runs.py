@@ -10,7 +10,7 @@ import numpy as np
 
 from mavins import __version__
 from mavins.config import Config
-from mavins.estimates import Decisions, Estimates, Result
+from mavins.estimates import Estimates, Result, by_aiding
 from mavins.estimator.estimator import Estimator, Outputs
 from mavins.estimator.feed import Feed
 from mavins.estimator.fusion import Event
@@ -22,7 +22,7 @@ from mavins.filters.base import RowBlock
 from mavins.logs.truth import judge_of
 from mavins.nav.earth import TangentFrame
 from mavins.nav.layout import Layout
-from mavins.results import ResultWriter, table_of, width
+from mavins.results import Decisions, ResultWriter, table_of, width
 from mavins.sources import Log, Source, open_log
 from mavins.types import FloatArray, IntArray
 
@@ -64,7 +64,7 @@ def run_source(
     writer: ResultWriter | None = None,
     before: Callable[[Estimator], Feed] = lambda estimator: estimator,
 ) -> Result:
-    """`run` for a source that was opened from `path`; what is kept goes to the writer as it comes.
+    """`run` for a source that was opened from `path`; what is kept goes to the writer.
 
     `before` puts what looks on between the source and the estimator.
     """
@@ -77,6 +77,8 @@ def run_source(
     witness = Witness(before(estimator))
     source.feed(witness, progress)
     estimator.finish()
+    if writer is not None:
+        writer.write_decisions(recorder.decisions)
     estimates = recorder.estimates()
     evidence = witness.evidence(source.truth, source.reference)
     summary: dict[str, Any] = {"mavins": __version__, "log": str(path)}
@@ -96,7 +98,7 @@ def run_source(
         estimates.table,
         estimates.layout,
         config,
-        recorder.decisions.by_aiding(),
+        by_aiding(recorder.decisions.arrays()),
         evidence,
         errors or None,
         smoothed,
@@ -123,11 +125,8 @@ class _Recorder:
             self._writer.write_table(t_us, table)
 
     def take_decision(self, event: Event) -> None:
-        if not self._bounds[0] <= event.measurement.t_us <= self._bounds[1]:
-            return
-        self.decisions.keep(event)
-        if self._writer is not None:
-            self._writer.write_decision(event)
+        if self._bounds[0] <= event.measurement.t_us <= self._bounds[1]:
+            self.decisions.keep(event)
 
     def estimates(self) -> Estimates:
         return _joined(self._tables, self._layout)

@@ -73,8 +73,8 @@ def csv_lines(t_us: IntArray, rows: FloatArray, decimals: IntArray) -> bytes:
     return flat[: _put_rows(t_us, rows, decimals, flat)].tobytes()
 
 
-def rounded(rows: FloatArray, decimals: IntArray) -> FloatArray:
-    """The numbers (N, M) that `csv_lines` writes of such rows; nan for an empty field."""
+def rounded(values: FloatArray, decimals: int) -> FloatArray:
+    """The numbers (N,) that `csv_lines` writes with so many decimals; nan for an empty field."""
     unit = 10.0**decimals
-    scaled = np.floor(abs(rows) * unit + 0.5)
-    return np.where(scaled < _LARGEST, np.copysign(scaled, rows) / unit + 0.0, np.nan)
+    scaled = np.floor(abs(values) * unit + 0.5)
+    return np.where(scaled < _LARGEST, np.copysign(scaled, values) / unit + 0.0, np.nan)

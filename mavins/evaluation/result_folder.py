@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavins.config import load
 from mavins.errors import LogFormatError
-from mavins.estimates import Estimates, Innovations, Result
+from mavins.estimates import Estimates, Innovations, Result, by_aiding
 from mavins.evaluation.evidence import FILE, read_evidence
 from mavins.logs.csv_table import read_rows, with_nan
 from mavins.logs.truth import judge_of
@@ -89,27 +88,10 @@ def read_innovations(path: Path) -> dict[str, Innovations]:
         )
     except ValueError as error:
         raise LogFormatError(f"{path} is damaged: {error}") from error
-    names, first, which = np.unique(rows["aiding"], return_index=True, return_inverse=True)
-    return {
-        names[k].decode("latin-1"): _innovations(rows[which == k])
-        for k in np.argsort(first).tolist()
-    }
-
-
-def _innovations(rows: NDArray[Any]) -> Innovations:
-    values = rows["innovation"]
-    width = max(1, int(np.isfinite(values).any(axis=0).sum()))
-    reason = np.where(rows["reason"] == b"nan", b"", rows["reason"])
-    return Innovations(
-        rows["t_us"].copy(),
-        rows["stamp_us"].copy(),
-        rows["source"].astype(np.str_),
-        rows["accepted"] == 1,
-        reason.astype(np.str_),
-        rows["nis"].copy(),
-        values[:, :width].copy(),
-        rows["sigma"][:, :width].copy(),
-    )
+    words = {name: rows[name].astype(np.str_) for name in ("aiding", "source", "reason")}
+    words["reason"][words["reason"] == "nan"] = ""
+    columns = {name: rows[name] for name in _ROW.names or ()}
+    return by_aiding(columns | words | {"accepted": rows["accepted"] == 1})
 
 
 def _summary(path: Path) -> dict[str, Any]:

@@ -30,8 +30,9 @@ def write(result: Result, folder: Path) -> None:
 def _estimates(result: Result) -> Iterator[list[NDArray[Any]]]:
     for k in range(0, len(result), _ROWS):
         part = slice(k, k + _ROWS)
+        shown, decimals = as_shown(result.table[part])
         # digits that nobody needs would take half as much room again
-        yield [result.t_us[part], *rounded(*as_shown(result.table[part])).T]
+        yield [result.t_us[part], *map(rounded, shown.T, decimals)]
 
 
 def _innovations(result: Result) -> Iterator[list[NDArray[Any]]]:
