@@ -4,34 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from mavins import __version__
 from mavins.config import Config
-from mavins.estimates import Decisions, Estimates, Result
+from mavins.estimates import Estimates, Result, by_aiding
 from mavins.estimator.estimator import Estimator, Outputs
 from mavins.estimator.feed import Feed
 from mavins.estimator.fusion import Event
 from mavins.estimator.history import History
 from mavins.estimator.smoothing import smooth as smooth_back
+from mavins.evaluation.errors import Errors
+from mavins.evaluation.witness import Witness
 from mavins.filters.base import RowBlock
+from mavins.logs.truth import judge_of
 from mavins.nav.earth import TangentFrame
 from mavins.nav.layout import Layout
-from mavins.results import BIAS_SIGMAS, further, table_of
-from mavins.sources import Log, Source, judge_of, open_log
+from mavins.results import Decisions, ResultWriter, table_of, width
+from mavins.sources import Log, Source, open_log
 from mavins.types import FloatArray, IntArray
-
-
-class Sink(Protocol):
-    """Takes what a run says while it runs (results.ResultWriter writes it)."""
-
-    def write_table(self, t_us: IntArray, table: FloatArray) -> None:
-        """Estimates (N, 37 + k) as `results.table_of` makes them."""
-
-    def write_decision(self, event: Event) -> None:
-        """The final decision on a measurement."""
 
 
 def grid_us(rate: float) -> int:
@@ -57,7 +50,7 @@ def run(
     """
     opened = log if isinstance(log, Log) else open_log(log)
     source = opened.source(config or Config())
-    return run_source(source, opened.path, start, end, rate, smooth, (), progress)
+    return run_source(source, opened.path, start, end, rate, smooth, progress)
 
 
 def run_source(
@@ -67,44 +60,47 @@ def run_source(
     end: float | None,
     rate: float,
     smooth: bool,
-    sinks: Sequence[Sink],
     progress: Callable[[float], None],
+    writer: ResultWriter | None = None,
     before: Callable[[Estimator], Feed] = lambda estimator: estimator,
 ) -> Result:
-    """`run` for a source that was opened from `path`; what is kept goes to the sinks as it comes.
+    """`run` for a source that was opened from `path`; what is kept goes to the writer.
 
     `before` puts what looks on between the source and the estimator.
     """
     config = source.config
     bounds = (round((start or 0.0) * 1e6), 2**62 if end is None else round(end * 1e6))
-    recorder = _Recorder(config.states.layout(), bounds, sinks)
+    recorder = _Recorder(config.states.layout(), bounds, writer)
     history = History() if smooth else None
     outputs = Outputs(grid_us(rate), recorder.take_rows, recorder.take_decision, history)
     estimator = Estimator(config, config.filter, outputs)
-    source.feed(before(estimator), progress)
+    witness = Witness(before(estimator))
+    source.feed(witness, progress)
     estimator.finish()
+    if writer is not None:
+        writer.write_decisions(recorder.decisions)
     estimates = recorder.estimates()
+    evidence = witness.evidence(source.truth, source.reference)
     summary: dict[str, Any] = {"mavins": __version__, "log": str(path)}
     summary |= {"filter": config.filter, **source.summary(estimator)}
-    judge = judge_of(source) if len(estimates) else None
-    errors = None
+    errors: Errors | None = None
     for key, known in (("reference", source.reference), ("truth", source.truth)):
         if known is not None and len(known) > 1 and len(estimates):
             errors = estimates.against(known)
             summary[key] = {"source": known.source, **errors.summary()}
     smoothed = None if history is None else _smoothed(estimator, history, bounds)
-    if smoothed is not None and judge is not None and len(smoothed):
+    judge = judge_of(source.truth, source.reference)
+    if smoothed is not None and len(smoothed) and judge is not None and len(estimates):
         summary["smoothed"] = smoothed.against(judge).summary()
     summary |= {"log_s": source.seconds, "rows": len(estimates), "damage": source.damage}
     return Result(
         estimates.t_us,
         estimates.table,
-        estimates.further,
+        estimates.layout,
         config,
-        recorder.decisions.by_aiding(),
-        source.truth,
-        source.reference,
-        errors,
+        by_aiding(recorder.decisions.arrays()),
+        evidence,
+        errors or None,
         smoothed,
         summary,
     )
@@ -113,8 +109,10 @@ def run_source(
 class _Recorder:
     """Keeps what lies within bounds, and hands it on."""
 
-    def __init__(self, layout: Layout, bounds: tuple[int, int], sinks: Sequence[Sink]) -> None:
-        self._layout, self._bounds, self._sinks = layout, bounds, sinks
+    def __init__(
+        self, layout: Layout, bounds: tuple[int, int], writer: ResultWriter | None
+    ) -> None:
+        self._layout, self._bounds, self._writer = layout, bounds, writer
         self._tables: list[tuple[IntArray, FloatArray]] = []
         self.decisions = Decisions()
 
@@ -123,15 +121,12 @@ class _Recorder:
         if not len(t_us):
             return
         self._tables.append((t_us, table))
-        for sink in self._sinks:
-            sink.write_table(t_us, table)
+        if self._writer is not None:
+            self._writer.write_table(t_us, table)
 
     def take_decision(self, event: Event) -> None:
-        if not self._bounds[0] <= event.measurement.t_us <= self._bounds[1]:
-            return
-        self.decisions.keep(event)
-        for sink in self._sinks:
-            sink.write_decision(event)
+        if self._bounds[0] <= event.measurement.t_us <= self._bounds[1]:
+            self.decisions.keep(event)
 
     def estimates(self) -> Estimates:
         return _joined(self._tables, self._layout)
@@ -154,8 +149,6 @@ def _smoothed(estimator: Estimator, history: History, bounds: tuple[int, int]) -
 
 
 def _joined(tables: Sequence[tuple[IntArray, FloatArray]], layout: Layout) -> Estimates:
-    places = further(layout)
-    width = max((sigmas.stop for _, sigmas in places.values()), default=BIAS_SIGMAS.stop)
     t_us = np.concatenate([np.empty(0, dtype=np.int64), *(t for t, _ in tables)])
-    table = np.concatenate([np.empty((0, width)), *(table for _, table in tables)])
-    return Estimates(t_us, table, places)
+    nothing = np.empty((0, width(layout)))
+    return Estimates(t_us, np.concatenate([nothing, *(table for _, table in tables)]), layout)

@@ -22,6 +22,9 @@ class Errors:
     vel: FloatArray
     att: FloatArray
 
+    def __len__(self) -> int:
+        return len(self.t_us)
+
     def summary(self) -> dict[str, Any]:
         """RMS and maximum per axis; attitude in degrees. Instants without a truth are nan, and not counted."""
         result: dict[str, Any] = {"instants": len(self.t_us)}

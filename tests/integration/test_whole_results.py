@@ -18,7 +18,7 @@ import pytest
 
 from mavins.cli.main import main
 from mavins.config import Config
-from mavins.evaluation.result_folder import Result
+from mavins.estimates import Result
 from mavins.replay import ReplayOptions, replay
 from mavins.results import write_text
 
@@ -163,11 +163,11 @@ def test_the_report_is_part_of_what_is_whole(tmp_path: Path) -> None:
     """It is there with the rest, or nothing is."""
     log, out = flight(tmp_path / "flight", 20), tmp_path / "result"
 
-    def report(result: Result) -> None:
-        write_text(result.folder / "report.html", "whole")
+    def report(_: Result, aside: Path) -> None:
+        write_text(aside / "report.html", "whole")
 
-    def stop(result: Result) -> None:
-        report(result)
+    def stop(result: Result, aside: Path) -> None:
+        report(result, aside)
         assert not (out / "summary.json").exists()
         raise KeyboardInterrupt
 
