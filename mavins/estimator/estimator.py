@@ -202,6 +202,8 @@ class Estimator:
             end = run_end(t_us, start, -1 if newest is None else newest, max_gap_us)
             if newest is not None and first - newest > max_gap_us:
                 self._lost(f"IMU gap of {(first - newest) * 1e-6:.1f} s", Health.ALIGNING)
+            if table.clipped is not None:
+                self._line.mark_clipped(t_us[start:end][table.clipped[start:end]])
             self._take_rows(t_us[start:end], imu[start:end], newest)
             start = end
 

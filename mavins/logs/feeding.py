@@ -17,7 +17,7 @@ from mavins.estimator.spacing import shortest_us
 from mavins.logs.mag_calibration import calibrate
 from mavins.logs.sensor_log import SensorLog
 from mavins.nav.so3 import euler_to_quat, quat_to_dcm
-from mavins.types import BaroSample, GnssFix, HeadingFix, ImuTable, MagSample
+from mavins.types import BaroSample, GnssFix, HeadingFix, MagSample
 
 SettingsT = TypeVar("SettingsT", bound=Settings)
 Reading: TypeAlias = GnssFix | HeadingFix | MagSample | BaroSample
@@ -63,12 +63,12 @@ def feed_log(
     ends = imu.t_us.searchsorted([item.t_us for item, _ in arrivals], "right").tolist()
     for (item, in_place), end in zip(arrivals, ends, strict=True):
         if in_place and end > fed:
-            estimator.feed_imu(_rows(imu, fed, end))
+            estimator.feed_imu(imu.part(slice(fed, end)))
             fed = end
             progress(end / len(imu))
         _feed(estimator, item)
     if fed < len(imu):
-        estimator.feed_imu(_rows(imu, fed, len(imu)))
+        estimator.feed_imu(imu.part(slice(fed, len(imu))))
     progress(1.0)
 
 
@@ -109,7 +109,3 @@ def _feed(estimator: Feed, item: Reading) -> None:
             estimator.feed_mag(item)
         case BaroSample():
             estimator.feed_baro(item)
-
-
-def _rows(imu: ImuTable, first: int, end: int) -> ImuTable:
-    return ImuTable(imu.t_us[first:end], imu.accel_b[first:end], imu.gyro_b[first:end])

@@ -32,10 +32,14 @@ _GPS: Final = (
     *("eph", "epv", "s_variance_m_s", "fix_type", "satellites_used"),
 )
 _WANTED: Final = {
-    "sensor_combined": ("timestamp", "gyro_rad", "gyro_integral_dt", "accelerometer_m_s2"),
+    "sensor_combined": (
+        *("timestamp", "gyro_rad", "gyro_integral_dt", "accelerometer_m_s2"),
+        "accelerometer_clipping",
+    ),
     "vehicle_imu": (
         *_STAMPS,
         *("delta_angle", "delta_velocity", "delta_angle_dt", "delta_velocity_dt"),
+        "delta_velocity_clipping",
     ),
     "vehicle_gps_position": _GPS,
     "sensor_gps": _GPS,
@@ -157,7 +161,9 @@ def _imu(topic: str, rows: Rows, clean: Cleaner) -> ImuTable:
     usable &= (dt_us >= 0) & (dt_us < 1_000_000)
     kept = clean.rows("imu", t_us - dt_us // 2, usable)
     stamps: IntArray = (t_us - dt_us // 2)[kept]
-    return ImuTable(stamps, accel[kept].astype(np.float64), gyro[kept].astype(np.float64))
+    told = [name for name in rows.dtype.names or () if name.endswith("_clipping")]
+    clipped = rows[told[0]][kept] != 0 if told else None
+    return ImuTable(stamps, accel[kept].astype(np.float64), gyro[kept].astype(np.float64), clipped)
 
 
 def _fixes(
