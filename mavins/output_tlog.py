@@ -68,7 +68,7 @@ class OutputLog(Relay):
         start = 0
         for end in (*self._stops(table.t_us), len(table)):
             if end > start:
-                self.feed.feed_imu(table.part(slice(start, end)))
+                self.feed.feed_imu(table[start:end])
                 self._speak()
                 start = end
 

@@ -46,10 +46,15 @@ class ImuTable:
     def __len__(self) -> int:
         return len(self.t_us)
 
-    def part(self, rows: slice) -> ImuTable:
-        """Some of the rows, as views."""
+    def __getitem__(self, rows: slice | IntArray) -> ImuTable:
+        """Some of the rows."""
         clipped = None if self.clipped is None else self.clipped[rows]
         return ImuTable(self.t_us[rows], self.accel_b[rows], self.gyro_b[rows], clipped)
+
+    @property
+    def at_limit(self) -> BoolArray:
+        """`clipped`, False where that is not known."""
+        return np.zeros(len(self), np.bool_) if self.clipped is None else self.clipped
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,6 +111,10 @@ class BaroSample:
     t_us: int
     alt: float
     source: str = "baro"
+
+
+Reading: TypeAlias = HeadingFix | MagSample | BaroSample
+"""What a sensor other than IMU and GNSS says."""
 
 
 class Health(enum.IntEnum):

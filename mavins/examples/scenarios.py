@@ -72,14 +72,14 @@ def flight(config: Config, scenario: Scenario, seed: int, duration: float) -> tu
     ends = m.imu.t_us.searchsorted([aid.t_us for aid in aids], "right").tolist()
     for aid, end in zip(aids, ends, strict=True):
         if end > start:
-            tape.feed_imu(m.imu.part(slice(start, end)))
+            tape.feed_imu(m.imu[start:end])
             start = end
         if isinstance(aid, HeadingFix):
             tape.feed_heading(aid)
         else:
             tape.feed_gnss(dataclasses.replace(aid, delay=delay))
     if start < len(m.imu):
-        tape.feed_imu(m.imu.part(slice(start, len(m.imu))))
+        tape.feed_imu(m.imu[start : len(m.imu)])
     samples = [state.sample for state in m.states]
     truth = Truth(
         np.array([s.t_us for s in samples]),
