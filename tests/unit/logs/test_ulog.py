@@ -153,7 +153,7 @@ def test_all_sensors(tmp_path: Path) -> None:
     assert (fix.fix_type, fix.satellites, fix.t_us) == (3, 14, START)
     assert log.gnss_delay == pytest.approx(0.11)
     assert log.baro[0].alt == 12.5
-    assert log.headings == []
+    assert not log.headings
     assert log.truth is None
     assert dict(log.damage) == {}
     assert sum(log.dropped.values()) == 0
