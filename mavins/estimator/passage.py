@@ -30,6 +30,10 @@ _PARAMETERS: Final = 20
 """The most parameters that an aiding has."""
 _GATE: Final = 12
 _FIRST: Final = 13
+"""Places of the gate and the first parameter in a row of numbers: z and R lie before them."""
+_U: Final = X_SIZE
+_P: Final = X_SIZE + 6
+"""Places of u and P in a row of visited states, x lies before them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,13 +133,8 @@ class Compiled:
         n, size = len(events), len(state.P)
         whats, numbers = _tables(events)
         most = max(0, rows.until_us - last_us) // SNAPSHOT_US + 1
-        visited, x, u = (
-            np.empty((most, 2), dtype=np.int64),
-            np.empty((most, X_SIZE)),
-            np.empty((most, 6)),
-        )
-        P = np.empty((most, size, size))
-        nis, r, S = np.empty(n), np.empty((n, 3)), np.empty((n, 3, 3))
+        places = np.empty((most, 2), dtype=np.int64)
+        visited, outcomes = np.empty((most, _P + size * size)), np.empty((n, 13))
         layout, out = self._filter.layout, rows.out
         state.t_us, done, visits, out.count = pass_rows(
             state.x,
@@ -160,22 +159,17 @@ class Compiled:
             out.count,
             whats,
             numbers,
-            nis,
-            r,
-            S,
+            outcomes,
             last_us,
+            places,
             visited,
-            x,
-            u,
-            P,
         )
-        for k, value in enumerate(nis[:done].tolist()):
-            m = whats[k, 2]
-            events[k].take(value, r[k, :m], S[k, :m, :m])
-        places = visited[:visits].tolist()
+        for event, nis, row in zip(events, outcomes[:done, 0].tolist(), outcomes, strict=False):
+            m = len(event.measurement.z)
+            event.take(nis, row[1 : 1 + m], row[4 : 4 + m * m].reshape(m, m))
         return done, [
-            Visit(count, FilterState(x[k], P[k], u[k], t_us))
-            for k, (t_us, count) in enumerate(places)
+            Visit(count, FilterState(row[:_U], row[_P:].reshape(size, size), row[_U:_P], t_us))
+            for (t_us, count), row in zip(places[:visits].tolist(), visited, strict=False)
         ]
 
 
@@ -211,24 +205,35 @@ def _fuse_event(
     columns: IntArray,
     what: IntArray,
     numbers: FloatArray,
-    out_r: FloatArray,
-    out_S: FloatArray,
-) -> float:
-    """Fuse one event of the tables; its innovation and S go out; returns the NIS."""
-    m = what[2]
+    outcome: FloatArray,
+) -> bool:
+    """Fuse one event of the tables; `outcome` (13,) <- NIS, innovation, S; False where it was refused."""
+    m, gate = what[2], numbers[_GATE]
     R, S = np.empty((m, m)), np.empty((m, m))
     for i in range(m):
         for j in range(m):
             R[i, j] = numbers[3 + m * i + j]
-    parameters = numbers[13 : 13 + what[3]]
-    r, H = linearize(what[1], x, u, numbers[:m], parameters)
+    r, H = linearize(what[1], x, u, numbers[:m], numbers[_FIRST : _FIRST + what[3]])
     for i in range(m):
-        out_r[i] = r[i]
-    nis = fuse(x, P, r, H, R, columns, numbers[12], S)
+        outcome[1 + i] = r[i]
+    outcome[0] = fuse(x, P, r, H, R, columns, gate, S)
     for i in range(m):
         for j in range(m):
-            out_S[i, j] = S[i, j]
-    return nis
+            outcome[4 + m * i + j] = S[i, j]
+    return bool(outcome[0] <= gate)
+
+
+@kernel
+def _keep(x: FloatArray, u: FloatArray, P: FloatArray, row: FloatArray) -> None:
+    """Write a state into a row."""
+    n = P.shape[0]
+    for i in range(len(x)):
+        row[i] = x[i]
+    for i in range(6):
+        row[_U + i] = u[i]
+    for i in range(n):
+        for j in range(n):
+            row[_P + n * i + j] = P[i, j]
 
 
 @kernel
@@ -255,14 +260,10 @@ def pass_rows(
     count: int,
     whats: IntArray,
     numbers: FloatArray,
-    nis: FloatArray,
-    out_r: FloatArray,
-    out_S: FloatArray,
+    outcomes: FloatArray,
     last_us: int,
-    visited: IntArray,
-    visit_x: FloatArray,
-    visit_u: FloatArray,
-    visit_P: FloatArray,
+    places: IntArray,
+    visited: FloatArray,
 ) -> tuple[int, int, int, int]:
     """`Passage.go`; returns where it ended, and how many events were fused, states kept and output rows filled."""
     work = workspace(P.shape[0], has_gravity)
@@ -273,14 +274,8 @@ def pass_rows(
             # all events so far are in: a place to come back to
             if t - last_us >= SNAPSHOT_US:
                 last_us = t
-                visited[visits, 0], visited[visits, 1] = t, e
-                for i in range(len(x)):
-                    visit_x[visits, i] = x[i]
-                for i in range(6):
-                    visit_u[visits, i] = u[i]
-                for i in range(P.shape[0]):
-                    for j in range(P.shape[1]):
-                        visit_P[visits, i, j] = P[i, j]
+                places[visits, 0], places[visits, 1] = t, e
+                _keep(x, u, P, visited[visits])
                 visits += 1
             if t_us[k] > target:
                 reading = reading_at(u, imu[k], (target - t) / (t_us[k] - t))
@@ -296,7 +291,7 @@ def pass_rows(
             before = t
         if e == len(whats):
             break
-        nis[e] = _fuse_event(x, P, u, columns, whats[e], numbers[e], out_r[e], out_S[e])
-        if whats[e, 4] and numbers[e, 12] >= 0.0 and not nis[e] <= numbers[e, 12]:
+        fused = _fuse_event(x, P, u, columns, whats[e], numbers[e], outcomes[e])
+        if not fused and whats[e, 4] and numbers[e, _GATE] >= 0.0:
             return t, e + 1, visits, count
     return t, len(whats), visits, count

@@ -6,6 +6,7 @@ log. Neighbouring IMU packets go on as one table; the outcome does not depend on
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Sequence
 from operator import itemgetter
@@ -58,8 +59,8 @@ _OTHER_IDS: Final = np.array(
 )
 RELEVANT: Final = np.union1d(IMU_IDS, _OTHER_IDS)
 """The message ids that an intake looks at; all others may be left out."""
-Waiting: TypeAlias = tuple[int, int, int]
-"""An ATTITUDE: how many IMU samples came before it, which packet it is, its stamp in us."""
+Waiting: TypeAlias = tuple[int, int, int, float]
+"""An ATTITUDE: how many IMU samples came before it, which packet it is, its stamp in us and its yaw in rad."""
 _FROM_ANY_COMPONENT: Final = ("GPS_INPUT", "HIL_GPS")
 _MAV_AUTOPILOT_INVALID: Final = 8
 
@@ -148,12 +149,14 @@ class Intake:
         msgids, places = frames.msgid[others].tolist(), np.searchsorted(samples.at, others).tolist()
         is_idle, taken = self.fixes.is_idle, 0
         waiting: list[Waiting] = []
-        for i, msgid, stamp_us, before in zip(others.tolist(), msgids, stamps, places, strict=True):
-            watched = self._is_watched(msgid, stamp_us)
-            if msgid == ATTITUDE_ID and not watched and self.fixes.uses_attitude:
-                waiting.append((before, i, stamp_us))
+        rows = zip(others.tolist(), msgids, stamps, places, self._yaws(frames, others), strict=True)
+        for i, msgid, stamp_us, before, yaw in rows:
+            idle, watched = is_idle(msgid, stamp_us), self._is_watched(msgid, stamp_us)
+            if idle and not watched and not waiting:
                 continue
-            idle = is_idle(msgid, stamp_us)
+            if msgid == ATTITUDE_ID and not watched and self.fixes.uses_attitude:
+                waiting.append((before, i, stamp_us, yaw))
+                continue
             if idle and not watched:
                 continue
             if before > taken or waiting:
@@ -215,28 +218,51 @@ class Intake:
                 return frames.select(np.arange(i, len(frames)))
         return frames.select(np.arange(0))
 
+    def _yaws(self, frames: Frames, at: IntArray) -> list[float]:
+        """The yaws (rad) of packets `at` that are ATTITUDEs of the vehicle, and nan for all others."""
+        yaws = np.full(len(at), np.nan)
+        rows = np.flatnonzero(
+            (frames.msgid[at] == ATTITUDE_ID) & (frames.compid[at] == self.imu.compid)
+        )
+        if len(rows):
+            yaws[rows] = decode_yaws(frames, at[rows])
+        known: list[float] = yaws.tolist()
+        return known
+
     def _place_with(
         self, frames: Frames, samples: Samples, part: slice, waiting: Sequence[Waiting]
     ) -> None:
         """Hand samples over, and with them the headings of the ATTITUDEs that came between them."""
-        if waiting and part.stop > part.start and self.clock.knows(waiting[0][2]):
-            state = self.clock.state()
-            times = self.clock.map_imu(
-                samples.stamp_us[part], samples.received_us[part], self.imu.wraps
-            )
-            yaws, usable = decode_yaws(frames, np.array([i for _, i, _ in waiting]))
-            usable &= frames.compid[[i for _, i, _ in waiting]] == self.imu.compid
-            if times.regular and usable.all():
-                newest = np.maximum.accumulate(np.append(state[NEWEST], times.t_us)).tolist()
-                between = [
-                    (before - part.start, newest[before - part.start], stamp_us, yaw)
-                    for (before, _, stamp_us), yaw in zip(waiting, yaws.tolist(), strict=True)
-                ]
-                self._feed(*samples.table(times.t_us, part), list(self.fixes.along(between)))
-                return
+        if not (waiting and self._place_together(samples, part, waiting)):
+            self._place_by_turns(frames, samples, part, waiting)
+
+    def _place_together(self, samples: Samples, part: slice, waiting: Sequence[Waiting]) -> bool:
+        """The same in one go; False, and nothing done, where something happens on the way that has to be seen to."""
+        start = part.start
+        if part.stop == start or not self.clock.knows(waiting[0][2]):
+            return False
+        if any(math.isnan(yaw) for _, _, _, yaw in waiting):
+            return False
+        state = self.clock.state()
+        stamp_us, received_us = samples.stamp_us[part], samples.received_us[part]
+        times = self.clock.map_imu(stamp_us, received_us, self.imu.wraps)
+        if not times.regular:
             self.clock.set_back(state)
+            return False
+        newest = np.maximum.accumulate(np.append(state[NEWEST], times.t_us)).tolist()
+        headings = (
+            (before - start, newest[before - start], stamp_us, yaw)
+            for before, _, stamp_us, yaw in waiting
+        )
+        self._feed(*samples.table(times.t_us, part), list(self.fixes.along(headings)))
+        return True
+
+    def _place_by_turns(
+        self, frames: Frames, samples: Samples, part: slice, waiting: Sequence[Waiting]
+    ) -> None:
+        """The same one after the other."""
         taken = part.start
-        for before, i, stamp_us in waiting:
+        for before, i, stamp_us, _ in waiting:
             if before > taken:
                 self._place(samples, slice(taken, before))
                 taken = before

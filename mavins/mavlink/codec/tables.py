@@ -80,11 +80,12 @@ def decode_fields(frames: Frames, indices: IntArray) -> FloatArray:
     return readings
 
 
-def decode_yaws(frames: Frames, indices: IntArray) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """The yaws (N,) in rad of packets `indices` (N,), which are all ATTITUDE, and where `decode` would take them."""
+def decode_yaws(frames: Frames, indices: IntArray) -> FloatArray:
+    """The yaws (N,) in rad of packets `indices` (N,), which are all ATTITUDE; nan where `decode` says Invalid."""
     rows = payload_rows(frames, indices, fields_of("ATTITUDE"))
     angles = np.column_stack([rows["roll"], rows["pitch"], rows["yaw"]]).astype(np.float64)
     rates = rows["rollspeed"], rows["pitchspeed"], rows["yawspeed"]
     # a NaN compares as out of range
-    usable = np.logical_and((abs(angles) <= MAX_ANGLE).all(axis=1), np.isfinite(rates).all(axis=0))
-    return angles[:, 2], usable
+    usable = (abs(angles) <= MAX_ANGLE).all(axis=1) & np.isfinite(rates).all(axis=0)
+    yaws: FloatArray = np.where(usable, angles[:, 2], np.nan)
+    return yaws

@@ -19,7 +19,7 @@ from mavins.logs.content import kind_of
 from mavins.logs.dataflash import read_dataflash
 from mavins.logs.dataflash.binary import BinaryLog
 from mavins.logs.dataflash.formats import CHARACTERS, HEADER, format_of
-from mavins.logs.dataflash.tables import forward
+from mavins.logs.dataflash.tables import Table, forward
 from mavins.logs.sensor_log import Choice, SensorLog
 from mavins.nav.so3 import quat_to_euler
 
@@ -368,6 +368,14 @@ def test_stamps_go_forward(stamps: list[int], after: int, kept: list[int]) -> No
 )
 def test_damaged_formats_are_none(parts: tuple[str, str, str]) -> None:
     assert format_of(*parts) is None
+
+
+def test_a_table_may_begin_with_nothing_usable() -> None:
+    table = Table()
+    table.append(np.empty(0, np.int64), np.empty((0, 3)))
+    table.append(np.array([5, 4]), np.array([[1.0, 2.0, 3.0], [0.0, 0.0, 0.0]]))
+    assert (table.t_us.tolist(), table.rows.tolist()) == ([5], [[1.0, 2.0, 3.0]])
+    assert table.dropped == 1
 
 
 flips = st.lists(st.tuples(st.floats(0, 1), st.integers(1, 255)), max_size=40)
