@@ -68,10 +68,7 @@ class OutputLog(Relay):
         start = 0
         for end in (*self._stops(table.t_us), len(table)):
             if end > start:
-                rows = slice(start, end)
-                self.feed.feed_imu(
-                    ImuTable(table.t_us[rows], table.accel_b[rows], table.gyro_b[rows])
-                )
+                self.feed.feed_imu(table[start:end])
                 self._speak()
                 start = end
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 FloatArray: TypeAlias = NDArray[np.float64]
 IntArray: TypeAlias = NDArray[np.int64]
+BoolArray: TypeAlias = NDArray[np.bool_]
 
 RTK_FIX_TYPES: Final = (5, 6)
 
@@ -33,19 +34,27 @@ class ImuSample:
 class ImuTable:
     """Consecutive IMU samples as rows: `t_us` (N,) int64, `accel_b` (N, 3) m/s^2, `gyro_b` (N, 3) rad/s.
 
+    `clipped` (N,) is True where the accelerometer was at its limit; None where the source does not say.
     Live feeds tables of one row, replay tables of many; both take the same way through the estimator.
     """
 
     t_us: IntArray
     accel_b: FloatArray
     gyro_b: FloatArray
+    clipped: BoolArray | None = None
 
     def __len__(self) -> int:
         return len(self.t_us)
 
     def __getitem__(self, rows: slice | IntArray) -> ImuTable:
         """Some of the rows."""
-        return ImuTable(self.t_us[rows], self.accel_b[rows], self.gyro_b[rows])
+        clipped = None if self.clipped is None else self.clipped[rows]
+        return ImuTable(self.t_us[rows], self.accel_b[rows], self.gyro_b[rows], clipped)
+
+    @property
+    def at_limit(self) -> BoolArray:
+        """`clipped`, False where that is not known."""
+        return np.zeros(len(self), np.bool_) if self.clipped is None else self.clipped
 
 
 @dataclass(frozen=True, slots=True)

@@ -199,7 +199,7 @@ def simulate(scenario: Scenario, seed: int, duration: float) -> Measurements:
     n = sum(int(np.count_nonzero(block.imu.t_us < end_us)) for block in blocks)
     imus, truths = [b.imu for b in blocks], [b.truth for b in blocks]
     return Measurements(
-        ImuTable(*(_joined(imus, name)[:n] for name in ImuTable.__slots__)),
+        ImuTable(*(_joined(imus, name)[:n] for name in ("t_us", "accel_b", "gyro_b"))),
         TruthTable(*(_joined(truths, name)[:n] for name in TruthTable.__slots__)),
         tuple(x for b in blocks for x in b.headings if x.t_us < end_us),
         tuple(x for b in blocks for x in b.fixes if x.t_us < end_us),

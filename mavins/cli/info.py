@@ -6,14 +6,14 @@ import argparse
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from mavins.cli.choosing import LOG_HELP, add_choice, choice_of
 
 if TYPE_CHECKING:
     from mavins.logs.inspect import Gap, LogReport, VehicleReport
+    from mavins.logs.readings import Readings
     from mavins.logs.sensor_log import SensorLog
-    from mavins.types import BaroSample, GnssFix, HeadingFix, MagSample
 
 SUMMARY = """\
 Show what a log holds: its messages with their rates, the vehicles with their IMU, its gaps, reboots
@@ -98,7 +98,7 @@ def sensor_lines(name: str, kind: str, log: SensorLog) -> Iterator[str]:
     yield f"  time       {first:.3f} .. {last:.3f} s on its own clock"
     yield f"  IMU        {log.names['imu']}, {len(log.imu)} samples at {rate:.1f} Hz{_others(log, 'imu')}"
     yield _gap_line(gaps)
-    sensors: dict[str, Sequence[GnssFix | HeadingFix | MagSample | BaroSample]] = {
+    sensors: dict[str, Readings[Any]] = {
         "gnss": log.gnss,
         "heading": log.headings,
         "mag": log.mag,
@@ -109,7 +109,7 @@ def sensor_lines(name: str, kind: str, log: SensorLog) -> Iterator[str]:
         if not samples:
             yield f"{label}none{_others(log, key)}"
             continue
-        hertz = (len(samples) - 1) / max((samples[-1].t_us - samples[0].t_us) * 1e-6, 1e-6)
+        hertz = (len(samples) - 1) / max((samples.t_us[-1] - samples.t_us[0]) * 1e-6, 1e-6)
         words = f"{log.names[key]}, {len(samples)} readings at {hertz:.1f} Hz"
         if key == "gnss":
             good = sum(fix.fix_type >= 3 for fix in log.gnss)

@@ -217,6 +217,8 @@ class Estimator:
             end = run_end(t_us, start, -1 if newest is None else newest, max_gap_us)
             if newest is not None and first - newest > max_gap_us:
                 self._lost(f"IMU gap of {(first - newest) * 1e-6:.1f} s", Health.ALIGNING)
+            if table.clipped is not None:
+                self._line.mark_clipped(t_us[start:end][table.clipped[start:end]])
             came = k
             while k < len(between) and between[k][0] < end:
                 k += 1

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mavins.estimator.clipping import Clipped
 from mavins.estimator.fusion import Event, Fusion, Track
 from mavins.filters import FilterState
 from mavins.nav.earth import TangentFrame
@@ -31,7 +32,7 @@ class Stretch:
 
     `fusion` is what put measurements to the filter. `t_us`, `imu` and `written` are pieces: stamps and readings of the
     IMU rows after the start, in the order in which they came, and the stamps of the output rows. `events` are those
-    that were put to the filter.
+    that were put to the filter, `clipped` the rows in which the accelerometer was at its limit.
     """
 
     frame: TangentFrame
@@ -41,6 +42,7 @@ class Stretch:
     imu: list[FloatArray]
     events: list[Event] = field(default_factory=list)
     written: list[IntArray] = field(default_factory=list)
+    clipped: Clipped = field(default_factory=Clipped)
 
     def rows(self) -> tuple[IntArray, FloatArray]:
         """Stamps (N,) and readings (N, 6) of the IMU rows in the order of time."""
@@ -72,6 +74,10 @@ class History:
         """IMU rows have come in."""
         self.stretches[-1].t_us.append(t_us.copy())
         self.stretches[-1].imu.append(imu.copy())
+
+    def clipped(self, t_us: IntArray) -> None:
+        """The accelerometer was at its limit in the rows with these stamps."""
+        self.stretches[-1].clipped.mark(t_us)
 
     def final(self, oldest: Snapshot, events: Iterable[Event]) -> None:
         """No rewind goes back behind `oldest` any more, and these events are decided."""

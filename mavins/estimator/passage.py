@@ -41,6 +41,7 @@ class Rows:
     """The IMU rows of a stretch: stamps (N,), readings (N, 6), and the stamp of the row before the first.
 
     `until_us`, at or before the last stamp, is where the stretch ends; output rows for the grid go to `out`.
+    `clipped`: the accelerometer was at its limit in all of them.
     """
 
     t_us: IntArray
@@ -49,6 +50,7 @@ class Rows:
     until_us: int
     grid_us: int
     out: RowBlock
+    clipped: bool = False
 
 
 class Visit(NamedTuple):
@@ -104,7 +106,8 @@ class Stepwise:
                 visits.append(Visit(0, state.copy()))
             end = int(rows.t_us.searchsorted(until_us, "right")) + 1
             t_us, imu, out = rows.t_us[:end], rows.imu[:end], rows.out
-            self._filter.walk(state, frame, t_us, imu, until_us, rows.before_us, rows.grid_us, out)
+            before_us, grid_us, clipped = rows.before_us, rows.grid_us, rows.clipped
+            self._filter.walk(state, frame, t_us, imu, until_us, before_us, grid_us, out, clipped)
         if not events:
             return 0, visits
         event = events[0]
@@ -140,7 +143,7 @@ class Compiled:
             state.t_us,
             rows.t_us,
             rows.imu,
-            self._filter.noise,
+            self._filter.noises[rows.clipped],
             layout.columns,
             layout.has_gravity,
             frame.r0_e,

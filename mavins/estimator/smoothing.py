@@ -8,7 +8,7 @@ memory. Nothing is passed over a reset, a re-alignment or a change of frame or f
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import groupby, pairwise
+from itertools import groupby
 
 import numpy as np
 
@@ -78,6 +78,7 @@ class _Stretch:
         self._snapshots = stretch.snapshots
         self._fusion = stretch.fusion.anew()
         self._t_us, self._imu = stretch.rows()
+        self._clipped = stretch.clipped
         written = np.concatenate([np.empty(0, dtype=np.int64), *stretch.written])
         self._due = np.isin(self._t_us, written).astype(np.int64)
         self._events = sorted(stretch.events, key=lambda event: event.order)
@@ -138,16 +139,25 @@ class _Stretch:
         """Walk to until_us, with a node there and at each output row on the way."""
         if until_us == state.t_us:
             return
-        first, last = np.searchsorted(self._t_us, (state.t_us, until_us), "right").tolist()
-        stops = [*range(first, last, ROWS_AT_ONCE), last]
-        for begin, end in pairwise(stops if last > first else [first, last]):
-            until = until_us if end == last else int(self._t_us[end - 1])
-            self._walk(state, begin, end + (end == last), until, nodes)
+        begin = int(self._t_us.searchsorted(state.t_us, "right"))
+        while state.t_us < until_us:
+            alike, clipped = self._clipped.run(self._t_us[begin : begin + ROWS_AT_ONCE])
+            end = begin + alike
+            self._walk(state, begin, end, min(until_us, int(self._t_us[end - 1])), clipped, nodes)
+            begin = end
         if nodes.t_us[nodes.count - 1] != until_us:
             close_transition(self._M, nodes.Phi[nodes.count])
             nodes.put(state, MOVED)
 
-    def _walk(self, state: FilterState, first: int, end: int, until_us: int, nodes: _Nodes) -> None:
+    def _walk(
+        self,
+        state: FilterState,
+        first: int,
+        end: int,
+        until_us: int,
+        clipped: bool,
+        nodes: _Nodes,
+    ) -> None:
         """Walk rows first to end (exclusive) to until_us."""
         t_us, imu, due = self._t_us[first:end], self._imu[first:end], self._due[first:end]
         frame, rows = self._frame, self._rows
@@ -166,5 +176,5 @@ class _Stretch:
             nodes.Phi[nodes.count :],
         )
         rows.count = 0
-        self._filter.walk(state, frame, t_us, imu, until_us, state.t_us, 0, rows)
+        self._filter.walk(state, frame, t_us, imu, until_us, state.t_us, 0, rows, clipped)
         nodes.put_rows(rows, due)

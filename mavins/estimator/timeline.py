@@ -15,6 +15,7 @@ import numpy as np
 
 from mavins.aiding import Measurement
 from mavins.estimator.buffer import ImuBuffer
+from mavins.estimator.clipping import Clipped
 from mavins.estimator.fusion import Event, Fusion, Track
 from mavins.estimator.history import History, Snapshot
 from mavins.estimator.passage import Rows, Visit, passage_of
@@ -57,6 +58,7 @@ class Timeline:
         history: History | None = None,
     ) -> None:
         self.buffer = ImuBuffer()
+        self._clipped = Clipped()
         self.state: FilterState | None = None
         self.frame: TangentFrame | None = None
         self.fusion = fusion
@@ -158,6 +160,12 @@ class Timeline:
         self._sequence += 1
         return Event(m, (m.t_us, m.rank, m.source, self._sequence))
 
+    def mark_clipped(self, t_us: IntArray) -> None:
+        """The accelerometer was at its limit in the rows with these stamps, which are still to come."""
+        self._clipped.mark(t_us)
+        if self._history is not None and self.state is not None:
+            self._history.clipped(t_us)
+
     def insert(self, t_us: int, reading: FloatArray) -> str:
         """Put a late IMU row in its place; returns why not, or nothing."""
         buffer = self.buffer
@@ -217,6 +225,7 @@ class Timeline:
             del self._snapshots[:i]
         reachable = min(horizon, self._snapshots[0].t_us) if self._snapshots else horizon
         self.buffer.drop_before(reachable - window_us)
+        self._clipped.forget_before(reachable - window_us)
         # what is told must not depend on where snapshots lie; what a rewind may pass again is kept all the same
         told = bisect_right(self._events, horizon - 1, key=_event_time)
         decided = self._events[self._told : told]
@@ -251,6 +260,7 @@ class Timeline:
             first, end = buffer.row_after(start.t_us), buffer.end
             t_us, imu = buffer.times(first, end), buffer.readings(first, end)
             self._history.begin(start, frame, self.fusion, t_us, imu)
+            self._history.clipped(self._clipped.stamps())
 
     def _tell_rows(self, t_us: IntArray, imu: FloatArray) -> None:
         if self._history is not None:
@@ -282,7 +292,10 @@ class Timeline:
         assert state is not None
         assert frame is not None
         while True:
-            end = min(first + LONGEST_RUN, buffer.end)
+            end, clipped = min(first + LONGEST_RUN, buffer.end), False
+            if self._clipped and first < end:
+                alike, clipped = self._clipped.run(buffer.times(first, end))
+                end = first + alike
             until_us = buffer.newest_us if end == buffer.end else buffer.stamp(end - 1)
             j = i
             while j < len(self._events) and self._events[j].order[0] <= until_us:
@@ -291,7 +304,7 @@ class Timeline:
                 return
             before_us = state.t_us if first == buffer.first else buffer.stamp(first - 1)
             t_us, imu = buffer.times(first, end), buffer.readings(first, end)
-            rows = Rows(t_us, imu, before_us, until_us, grid_us, self._rows)
+            rows = Rows(t_us, imu, before_us, until_us, grid_us, self._rows, clipped)
             events = self._events[i:j]
             done, visits = self._passage.go(state, frame, rows, events, self._snapshots[-1].t_us)
             self._conclude(state, events[:done], visits)

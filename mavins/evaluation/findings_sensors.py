@@ -114,7 +114,7 @@ def clipping(result: Result) -> Iterator[Finding]:
     if clipped.any():
         yield Finding(
             "wrong",
-            f"The accelerometer was at its limit of 16 g in {int(clipped.sum())} samples, in "
+            f"The accelerometer was at its limit in {int(clipped.sum())} samples, in "
             f"{int((clipped > 0).sum())} seconds of the log.",
             "Damp its mounting, or take a sensor of a larger range.",
             "vibration",

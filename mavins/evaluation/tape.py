@@ -155,8 +155,10 @@ class Tape:
 def _joined(tables: Sequence[ImuTable]) -> ImuTable:
     if len(tables) == 1:
         return tables[0]
+    told = any(table.clipped is not None for table in tables)
     return ImuTable(
         np.concatenate([table.t_us for table in tables]),
         np.concatenate([table.accel_b for table in tables]),
         np.concatenate([table.gyro_b for table in tables]),
+        np.concatenate([table.at_limit for table in tables]) if told else None,
     )

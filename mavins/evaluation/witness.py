@@ -17,6 +17,7 @@ from mavins.evaluation.spectrum import Welch
 from mavins.logs.truth import Truth
 from mavins.types import (
     BaroSample,
+    BoolArray,
     FloatArray,
     GnssFix,
     HeadingFix,
@@ -123,10 +124,12 @@ class Witness(Relay):
         t_us = np.concatenate([table.t_us for table in self._tables])
         gyro = np.concatenate([table.gyro_b for table in self._tables])
         accel = np.concatenate([table.accel_b for table in self._tables])
+        rows = np.hstack([gyro, accel])
+        clipped = np.concatenate([table.at_limit for table in self._tables])
+        clipped |= (abs(accel) >= CLIP).any(axis=1)
         self._tables.clear()
         self._waiting = 0
-        rows = np.hstack([gyro, accel])
-        self._seconds.take(t_us, rows)
+        self._seconds.take(t_us, rows, clipped)
         self._welch.take(t_us, rows)
 
 
@@ -139,8 +142,8 @@ class _Seconds:
         self._intervals = np.zeros(_BINS + 1, dtype=np.int64)
         self._last: IntArray = np.empty(0, dtype=np.int64)
 
-    def take(self, t_us: IntArray, rows: FloatArray) -> None:
-        """Add consecutive rows (N, 6) of gyro and accelerometer."""
+    def take(self, t_us: IntArray, rows: FloatArray, clipped: BoolArray) -> None:
+        """Add consecutive rows (N, 6) of gyro and accelerometer, and where this was at its limit (N,)."""
         steps = np.diff(np.concatenate([self._last if len(self._last) else t_us[:1], t_us]))
         self._last = t_us[-1:]
         bins = np.clip(steps[steps > 0] // _BIN_US, 0, _BINS)
@@ -148,13 +151,12 @@ class _Seconds:
         second = t_us // _SECOND_US
         first = np.flatnonzero(np.diff(second, prepend=second[0] - 1))
         count = np.diff(np.append(first, len(t_us)))
-        clipped = (abs(rows[:, 3:]) >= CLIP).any(axis=1).astype(np.int64)
         self._parts.append(
             (
                 second[first],
                 count,
                 np.maximum.reduceat(np.maximum(steps, 0), first),
-                np.add.reduceat(clipped, first),
+                np.add.reduceat(clipped.astype(np.int64), first),
             )
         )
         mean = np.add.reduceat(rows, first) / count[:, None]

@@ -17,7 +17,7 @@ from mavins.logs.truth import Truth
 from mavins.nav.earth import TangentFrame
 from mavins.nav.layout import X_L, X_P, X_Q, X_SIZE, X_TAU, X_V
 from mavins.nav.rotations import yaws_of
-from mavins.types import FloatArray, GnssFix, HeadingFix, ImuTable, IntArray, Origin
+from mavins.types import FloatArray, GnssFix, HeadingFix, IntArray, Origin
 from sitl.scenario import Scenario
 from sitl.simulation import START_US, simulate
 
@@ -72,14 +72,14 @@ def flight(config: Config, scenario: Scenario, seed: int, duration: float) -> tu
     ends = m.imu.t_us.searchsorted([aid.t_us for aid in aids], "right").tolist()
     for aid, end in zip(aids, ends, strict=True):
         if end > start:
-            tape.feed_imu(_rows(m.imu, start, end))
+            tape.feed_imu(m.imu[start:end])
             start = end
         if isinstance(aid, HeadingFix):
             tape.feed_heading(aid)
         else:
             tape.feed_gnss(dataclasses.replace(aid, delay=delay))
     if start < len(m.imu):
-        tape.feed_imu(_rows(m.imu, start, len(m.imu)))
+        tape.feed_imu(m.imu[start : len(m.imu)])
     samples = [state.sample for state in m.states]
     truth = Truth(
         np.array([s.t_us for s in samples]),
@@ -142,7 +142,3 @@ def _of_fix(config: Config, frame: TangentFrame, fix: GnssFix) -> list[Measureme
     position = gnss_position.measure(fix, fix.t_us, frame, noise.h, noise.v, gate)
     velocity = gnss_velocity.measure(fix, fix.t_us, frame, noise.speed, gate)
     return [position] if velocity is None else [position, velocity]
-
-
-def _rows(imu: ImuTable, start: int, end: int) -> ImuTable:
-    return ImuTable(imu.t_us[start:end], imu.accel_b[start:end], imu.gyro_b[start:end])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final, NamedTuple, Protocol
 
 import numpy as np
@@ -14,6 +14,8 @@ from mavins.nav.layout import CORE, X_SIZE, Layout, size_of
 from mavins.types import FloatArray, IntArray
 
 _NOTHING: Final = np.empty((0, 0))
+GAP_NOISE: Final = 10.0
+"""The root PSDs of gyro and accelerometer are this many times larger while a reading is held."""
 
 
 def sigmas_of(S: FloatArray) -> FloatArray:
@@ -87,6 +89,10 @@ class ImuNoise:
         walks = [np.full(size_of(block), self.walks.get(block, 0.0)) for block in further]
         return np.concatenate([imu, *walks])
 
+    def as_arrays(self, layout: Layout) -> tuple[FloatArray, FloatArray]:
+        """`as_array`, and the same where the accelerometer was clipped."""
+        return self.as_array(layout), replace(self, accel=GAP_NOISE * self.accel).as_array(layout)
+
 
 class Observation(Protocol):
     """A measurement as a filter sees it: how far it is from what a state predicts."""
@@ -139,6 +145,7 @@ class Filter(Protocol):
         previous_us: int,
         grid_us: int,
         rows: RowBlock,
+        clipped: bool = False,
     ) -> None:
         """Move `state` through IMU rows: stamps `t_us` (N,), readings `imu` (N, 6) as in FilterState.u.
 
@@ -146,7 +153,8 @@ class Filter(Protocol):
         with the reading on the line to that row.
 
         A row is appended to `rows` for the first stamp at or after each multiple of `grid_us` (every stamp if 0,
-        none if negative); `previous_us` is the stamp of the IMU row before the first.
+        none if negative); `previous_us` is the stamp of the IMU row before the first. `clipped`: the accelerometer
+        was at its limit in all of these rows, and they say as little of the motion as a reading that is held.
         """
 
     def update(self, state: FilterState, observation: Observation, gate: float) -> Outcome:

@@ -120,7 +120,7 @@ class Eskf:
 
     def __init__(self, noise: ImuNoise, layout: Layout, settings: FilterSettings) -> None:
         self.layout = layout
-        self.noise = noise.as_array(layout)
+        self.noises = noise.as_arrays(layout)
 
     def adopt(self, state: FilterState) -> None:
         """Nothing to do: the state is all that this filter has."""
@@ -139,6 +139,7 @@ class Eskf:
         previous_us: int,
         grid_us: int,
         rows: RowBlock,
+        clipped: bool = False,
     ) -> None:
         """Move through IMU rows."""
         rows.count = walk_rows(
@@ -148,7 +149,7 @@ class Eskf:
             state.t_us,
             t_us,
             imu,
-            self.noise,
+            self.noises[clipped],
             self.layout.has_gravity,
             frame.r0_e,
             frame.C_ne,

@@ -258,7 +258,7 @@ class EulerEkf:
 
     def __init__(self, noise: ImuNoise, layout: Layout, settings: FilterSettings) -> None:
         self.layout = layout
-        self._noise = noise.as_array(layout)
+        self._noises = noise.as_arrays(layout)
         self._compat = settings.euler_ekf.compat
 
     def adopt(self, state: FilterState) -> None:
@@ -280,6 +280,7 @@ class EulerEkf:
         previous_us: int,
         grid_us: int,
         rows: RowBlock,
+        clipped: bool = False,
     ) -> None:
         """Move through IMU rows."""
         rows.count = walk_rows(
@@ -289,7 +290,7 @@ class EulerEkf:
             state.t_us,
             t_us,
             imu,
-            self._noise,
+            self._noises[clipped],
             self._compat,
             frame.r0_e,
             frame.C_ne,

@@ -240,7 +240,7 @@ class Srcdkf:
 
     def __init__(self, noise: ImuNoise, layout: Layout, settings: FilterSettings) -> None:
         self.layout = layout
-        self._noise = noise.as_array(layout)
+        self._noises = noise.as_arrays(layout)
         self._full = settings.srcdkf.full
         self._tau = np.flatnonzero(layout.columns == TAU.start)
 
@@ -265,6 +265,7 @@ class Srcdkf:
         previous_us: int,
         grid_us: int,
         rows: RowBlock,
+        clipped: bool = False,
     ) -> None:
         """Move through IMU rows."""
         rows.count = walk_rows(
@@ -275,7 +276,7 @@ class Srcdkf:
             state.t_us,
             t_us,
             imu,
-            self._noise,
+            self._noises[clipped],
             self._full,
             frame.r0_e,
             frame.C_ne,

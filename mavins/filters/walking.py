@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from mavins.filters.base import GAP_NOISE
 from mavins.nav.ins import Vector
 from mavins.nav.kernels import kernel
 from mavins.types import FloatArray, IntArray
@@ -16,8 +17,6 @@ HOLD_US = 200_000
 """Across a longer gap between samples the older reading is held rather than joined to the newer by a line."""
 SUBSTEP = 0.1
 """A longer interval (s) is cut: the error dynamics are linearized over one step."""
-GAP_NOISE = 10.0
-"""The root PSDs of gyro and accelerometer are this many times larger while a reading is held."""
 
 
 @kernel

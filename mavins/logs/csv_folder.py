@@ -6,7 +6,6 @@ Format: docs/reference/csv_folder.md.
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from pathlib import Path
 from typing import Final
@@ -14,7 +13,9 @@ from typing import Final
 import numpy as np
 
 from mavins.errors import LogFormatError
+from mavins.logs import readings
 from mavins.logs.csv_table import CsvTable, find_table, read_table
+from mavins.logs.readings import Readings
 from mavins.logs.sensor_log import DEFAULT, Choice, SensorLog
 from mavins.logs.truth import Truth
 from mavins.nav.rotations import euler_to_quats
@@ -44,14 +45,14 @@ def read_csv_folder(folder: Path, choice: Choice = DEFAULT) -> SensorLog:
     """Read all tables of a folder; LogFormatError where there is no IMU, or one is damaged."""
     dropped: Counter[str] = Counter()
     tables = {name: _table(folder, name, dropped) for name in COLUMNS}
-    imu, gnss = tables["imu"], tables["gnss"]
+    imu = tables["imu"]
     if imu is None:
         raise LogFormatError(f"{folder} holds no imu.csv: nothing to estimate from")
     if not len(imu):
         raise LogFormatError(f"{imu.path} has no IMU samples")
     return SensorLog(
         ImuTable(imu.t_us, imu.stack(*_ACCEL), imu.stack(*_GYRO)),
-        [] if gnss is None else _fixes(gnss),
+        _fixes(tables["gnss"]),
         _headings(tables["heading"]),
         _mags(tables["mag"]),
         _baros(tables["baro"]),
@@ -83,61 +84,36 @@ def _table(folder: Path, name: str, dropped: Counter[str]) -> CsvTable | None:
     return table.select(np.flatnonzero(usable))
 
 
-def _or_none(value: float) -> float | None:
-    return None if math.isnan(value) else value
-
-
-def _fixes(table: CsvTable) -> list[GnssFix]:
-    place = np.radians(table.stack(*_LLA[:2]))
-    alt, velocity = table.column("alt_m"), table.stack(*_VELOCITY)
+def _fixes(table: CsvTable | None) -> Readings[GnssFix]:
+    if table is None:
+        return readings.NO_FIXES
+    place = np.column_stack([np.radians(table.stack(*_LLA[:2])), table.column("alt_m")])
     quality = table.stack(*_QUALITY)
-    fixes = []
-    for k, t_us in enumerate(table.t_us.tolist()):
-        fix_type, satellites, sigma_h, sigma_v, sigma_speed = quality[k].tolist()
-        v_n, v_e, v_d = velocity[k].tolist()
-        fixes.append(
-            GnssFix(
-                t_us,
-                float(place[k, 0]),
-                float(place[k, 1]),
-                float(alt[k]),
-                None if math.isnan(v_n) or math.isnan(v_e) else (v_n, v_e, v_d),
-                3 if math.isnan(fix_type) else int(fix_type),
-                # no satellite has no fix: recorders write 0 for a number that they do not know
-                int(satellites) if satellites > 0.0 else None,
-                _or_none(sigma_h),
-                _or_none(sigma_v),
-                _or_none(sigma_speed),
-                "gnss.csv",
-            )
-        )
-    return fixes
+    fix_type, satellites = quality[:, 0], quality[:, 1]
+    fix_type[np.isnan(fix_type)] = 3.0
+    # no satellite has no fix: recorders write 0 for a number that they do not know
+    satellites[satellites <= 0.0] = np.nan
+    velocity = table.stack(*_VELOCITY)
+    return readings.fixes(table.t_us, place, velocity, quality[:, :2], quality[:, 2:], "gnss.csv")
 
 
-def _headings(table: CsvTable | None) -> list[HeadingFix]:
+def _headings(table: CsvTable | None) -> Readings[HeadingFix]:
     if table is None:
-        return []
-    rows = zip(
-        table.t_us.tolist(),
-        table.column("yaw").tolist(),
-        table.column("sigma").tolist(),
-        strict=True,
-    )
-    return [HeadingFix(t_us, yaw, _or_none(sigma), "heading.csv") for t_us, yaw, sigma in rows]
+        return readings.NO_HEADINGS
+    yaw, sigma = table.column("yaw"), table.column("sigma")
+    return readings.headings(table.t_us, yaw, sigma, "heading.csv")
 
 
-def _mags(table: CsvTable | None) -> list[MagSample]:
+def _mags(table: CsvTable | None) -> Readings[MagSample]:
     if table is None:
-        return []
-    field = table.stack(*_MAG)
-    return [MagSample(t_us, field[k], "mag.csv") for k, t_us in enumerate(table.t_us.tolist())]
+        return readings.NO_FIELDS
+    return readings.fields(table.t_us, table.stack(*_MAG), "mag.csv")
 
 
-def _baros(table: CsvTable | None) -> list[BaroSample]:
+def _baros(table: CsvTable | None) -> Readings[BaroSample]:
     if table is None:
-        return []
-    rows = zip(table.t_us.tolist(), table.column("alt_m").tolist(), strict=True)
-    return [BaroSample(t_us, alt, "baro.csv") for t_us, alt in rows]
+        return readings.NO_LEVELS
+    return readings.levels(table.t_us, table.column("alt_m"), "baro.csv")
 
 
 def _truth(table: CsvTable | None) -> Truth | None:

@@ -17,9 +17,11 @@ from typing import Final
 import numpy as np
 
 from mavins.errors import LogFormatError
+from mavins.logs import readings
 from mavins.logs.cleaning import Cleaner
 from mavins.logs.csv_table import find_table
 from mavins.logs.number_text import read_numbers
+from mavins.logs.readings import Readings
 from mavins.logs.sensor_log import DEFAULT, Choice, SensorLog, chosen
 from mavins.logs.truth import Truth
 from mavins.mavlink.codec.checks import MAX_ACCEL, MAX_ALTITUDE, MAX_GYRO, MAX_SPEED
@@ -61,7 +63,7 @@ def read_euroc(folder: Path, choice: Choice = DEFAULT) -> SensorLog:
     truths = _sensors(root, "state_groundtruth_estimate")
     names = {"imu": chosen("IMU", choice.imu, imus, imus[0])}
     imu = _imu(table(names["imu"]), clean)
-    gnss: list[GnssFix] = []
+    gnss = readings.NO_FIXES
     truth = None
     if receivers or choice.gnss:
         names["gnss"] = chosen("GNSS", choice.gnss, receivers, next(iter(receivers), ""))
@@ -73,9 +75,9 @@ def read_euroc(folder: Path, choice: Choice = DEFAULT) -> SensorLog:
     return SensorLog(
         imu,
         gnss,
-        [],
-        [],
-        [],
+        readings.NO_HEADINGS,
+        readings.NO_FIELDS,
+        readings.NO_LEVELS,
         truth,
         None,
         names,
@@ -110,18 +112,16 @@ def _imu(rows: FloatArray, clean: Cleaner) -> ImuTable:
     return ImuTable(t_us[kept], accel[kept], gyro[kept])
 
 
-def _fixes(rows: FloatArray, name: str, clean: Cleaner) -> list[GnssFix]:
+def _fixes(rows: FloatArray, name: str, clean: Cleaner) -> Readings[GnssFix]:
     t_us = _stamps(rows)
     usable = (abs(rows[:, 1:3]) <= (90.0, 180.0)).all(axis=1) & (abs(rows[:, 3]) <= MAX_ALTITUDE)
-    fixes = []
-    for k in clean.rows("gnss", t_us, usable).tolist():
-        lat, lon, alt, *moving = rows[k, 1:7].tolist()
-        velocity = None
-        if len(moving) == 3 and max(map(abs, moving)) <= MAX_SPEED:
-            velocity = (moving[0], moving[1], moving[2])
-        place = (float(np.radians(lat)), float(np.radians(lon)))
-        fixes.append(GnssFix(int(t_us[k]), *place, alt, velocity, 3, source=name))
-    return fixes
+    kept = clean.rows("gnss", t_us, usable)
+    t_us, rows = t_us[kept], rows[kept]
+    velocity = rows[:, 4:7].copy() if rows.shape[1] >= 7 else np.full((len(rows), 3), np.nan)
+    velocity[(abs(velocity) > MAX_SPEED).any(axis=1)] = np.nan
+    place = np.column_stack([np.radians(rows[:, 1:3]), rows[:, 3]])
+    quality = np.tile([3.0, np.nan], (len(rows), 1))
+    return readings.fixes(t_us, place, velocity, quality, np.full((len(rows), 3), np.nan), name)
 
 
 def _truth(rows: FloatArray, name: str, clean: Cleaner) -> Truth:

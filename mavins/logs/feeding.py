@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import replace
-from itertools import compress
-from typing import Final, TypeVar
+from typing import Any, Final, TypeVar
 
 import numpy as np
 
@@ -15,9 +14,10 @@ from mavins.estimator.feed import Between, Feed
 from mavins.estimator.settings import Settings
 from mavins.estimator.spacing import shortest_us
 from mavins.logs.mag_calibration import calibrate
+from mavins.logs.readings import Readings
 from mavins.logs.sensor_log import SensorLog
 from mavins.nav.so3 import euler_to_quat, quat_to_dcm
-from mavins.types import GnssFix, MagSample, Reading
+from mavins.types import GnssFix, IntArray, Reading
 
 SettingsT = TypeVar("SettingsT", bound=Settings)
 _TOGETHER: Final = 4096
@@ -46,8 +46,8 @@ def _magnetometer(settings: Settings, log: SensorLog) -> MagnetometerSettings:
         found = calibrate(
             log.imu.t_us - round((settings.imu.delay) * 1e6),
             log.imu.gyro_b @ C.T,
-            np.array([sample.t_us for sample in log.mag]) - round(s.delay * 1e6),
-            np.array([sample.field for sample in log.mag]),
+            log.mag.t_us - round(s.delay * 1e6),
+            log.mag.rows,
             None if s.rotation == "auto" else s.rotation,
         )
         hard_iron = found.hard_iron if s.hard_iron == "auto" else s.hard_iron
@@ -60,10 +60,8 @@ def feed_log(
 ) -> None:
     """Feed all tables merged by their stamps, with `settled` settings; at one stamp the IMU comes first."""
     imu, fed = log.imu, 0
-    arrivals = _arrivals(log, settings)
-    ends = imu.t_us.searchsorted([item.t_us for item in arrivals], "right").tolist()
     between: list[Between] = []
-    for item, end in zip(arrivals, ends, strict=True):
+    for item, end in _arrivals(log, settings):
         if end - fed >= _TOGETHER or isinstance(item, GnssFix):
             estimator.feed_run(imu[fed:end], between)
             between, fed = [], end
@@ -76,24 +74,35 @@ def feed_log(
     progress(1.0)
 
 
-def _arrivals(log: SensorLog, settings: Settings) -> list[GnssFix | Reading]:
-    """All measurements with the delays that are configured, by their stamps."""
+def _arrivals(log: SensorLog, settings: Settings) -> Iterator[tuple[GnssFix | Reading, int]]:
+    """All measurements with the delays that are configured, by their stamps, and how many IMU samples come before."""
     delay = settings.gnss.delay
-    fixes = (fix if delay == "auto" else replace(fix, delay=delay) for fix in log.gnss)
-    headings = (replace(fix, delay=settings.heading.delay) for fix in log.headings)
-    mag = compress(log.mag, _due(log.mag, settings.magnetometer.max_rate))
-    levels = log.baro if settings.baro.enabled else []
-    arrivals: list[GnssFix | Reading] = [*fixes, *headings, *mag, *levels]
-    arrivals.sort(key=lambda item: item.t_us)
-    return arrivals
+    mag = log.mag.at(_due(log.mag.t_us, settings.magnetometer.max_rate))
+    tables: list[Readings[Any]] = [log.gnss, log.headings, mag]
+    if settings.baro.enabled:
+        tables.append(log.baro)
+    items: list[Iterator[GnssFix | Reading]] = [
+        iter(log.gnss) if delay == "auto" else (replace(fix, delay=delay) for fix in log.gnss),
+        (replace(fix, delay=settings.heading.delay) for fix in log.headings),
+        iter(mag),
+        iter(log.baro),
+    ]
+    stamps = np.concatenate([table.t_us for table in tables])
+    which = np.repeat(np.arange(len(tables)), [len(table) for table in tables])
+    order = np.argsort(stamps, kind="stable")
+    ends = log.imu.t_us.searchsorted(stamps[order], "right")
+    for k in range(0, len(order), _TOGETHER):
+        part = slice(k, k + _TOGETHER)
+        for source, end in zip(which[order[part]].tolist(), ends[part].tolist(), strict=True):
+            yield next(items[source]), end
 
 
-def _due(readings: Sequence[MagSample], max_rate: float) -> list[bool]:
-    """True for the readings that are not too soon after the last such one, by the estimator's own rule."""
-    due: list[bool] = []
-    last_us = -math.inf
-    for reading in readings:
-        due.append(reading.t_us - last_us >= shortest_us(max_rate))
-        if due[-1]:
-            last_us = reading.t_us
-    return due
+def _due(t_us: IntArray, max_rate: float) -> IntArray:
+    """Which readings are not too soon after the last such one, by the estimator's own rule."""
+    due: list[int] = []
+    last_us, shortest = -math.inf, shortest_us(max_rate)
+    for k, stamp in enumerate(t_us.tolist()):
+        if stamp - last_us >= shortest:
+            due.append(k)
+            last_us = stamp
+    return np.array(due, dtype=np.int64)

@@ -18,8 +18,10 @@ from typing import Final
 import numpy as np
 
 from mavins.errors import LogFormatError
+from mavins.logs import readings
 from mavins.logs.cleaning import Cleaner
 from mavins.logs.number_text import head_of, read_numbers
+from mavins.logs.readings import Readings
 from mavins.logs.sensor_log import DEFAULT, Choice, SensorLog, chosen
 from mavins.logs.truth import Truth
 from mavins.mavlink.codec.checks import MAX_ACCEL, MAX_ALTITUDE, MAX_GYRO, MAX_SPEED
@@ -60,7 +62,7 @@ def read_kf_gins(path: Path, choice: Choice = DEFAULT) -> SensorLog:
 
     names = {"imu": chosen("IMU", choice.imu, files["imu"], usual)}
     imu = _imu(table(names["imu"]), clean)
-    gnss: list[GnssFix] = []
+    gnss = readings.NO_FIXES
     truth = None
     if files["gnss"] or choice.gnss:
         names["gnss"] = chosen("GNSS", choice.gnss, files["gnss"], next(iter(files["gnss"]), ""))
@@ -73,9 +75,9 @@ def read_kf_gins(path: Path, choice: Choice = DEFAULT) -> SensorLog:
     return SensorLog(
         imu,
         gnss,
-        [],
-        [],
-        [],
+        readings.NO_HEADINGS,
+        readings.NO_FIELDS,
+        readings.NO_LEVELS,
         truth,
         None,
         names,
@@ -139,33 +141,28 @@ def _imu(rows: FloatArray, clean: Cleaner) -> ImuTable:
     return ImuTable((t_us - dt_us // 2)[sound], accel[sound], gyro[sound])
 
 
-def _fixes(rows: FloatArray, name: str, clean: Cleaner) -> list[GnssFix]:
+def _fixes(rows: FloatArray, name: str, clean: Cleaner) -> Readings[GnssFix]:
     t_us = _stamps(rows[:, 0])
     usable = np.isfinite(rows).all(axis=1) & (abs(rows[:, 1:3]) <= (90.0, 180.0)).all(axis=1)
     usable &= abs(rows[:, 3]) <= MAX_ALTITUDE
-    fixes = []
-    for k in clean.rows("gnss", t_us, usable).tolist():
-        _, lat, lon, height, sigma_n, sigma_e, sigma_d, *moving = rows[k].tolist()
-        sigma_h = float(np.hypot(sigma_n, sigma_e) / np.sqrt(2.0))
-        velocity = None
-        if moving and max(map(abs, moving[:3])) <= MAX_SPEED:
-            velocity = (moving[0], moving[1], moving[2])
-        fixes.append(
-            GnssFix(
-                int(t_us[k]),
-                float(np.radians(lat)),
-                float(np.radians(lon)),
-                height,
-                velocity,
-                _RTK_FIXED if sigma_h < _RTK_SIGMA else _PLAIN_FIX,
-                None,
-                sigma_h,
-                sigma_d,
-                float(np.linalg.norm(moving[3:]) / np.sqrt(3.0)) if len(moving) == 6 else None,
-                name,
-            )
-        )
-    return fixes
+    kept = clean.rows("gnss", t_us, usable)
+    t_us, rows = t_us[kept], rows[kept]
+    unknown = np.full((len(rows), 3), np.nan)
+    sigma_h = np.hypot(rows[:, 4], rows[:, 5]) / np.sqrt(2.0)
+    velocity, sigma_speed = unknown, unknown[:, 0]
+    if rows.shape[1] >= 10:
+        velocity = rows[:, 7:10].copy()
+        velocity[(abs(velocity) > MAX_SPEED).any(axis=1)] = np.nan
+    if rows.shape[1] == 13:
+        sigma_speed = np.linalg.norm(rows[:, 10:13], axis=1) / np.sqrt(3.0)
+    return readings.fixes(
+        t_us,
+        np.column_stack([np.radians(rows[:, 1:3]), rows[:, 3]]),
+        velocity,
+        np.column_stack([np.where(sigma_h < _RTK_SIGMA, _RTK_FIXED, _PLAIN_FIX), unknown[:, 0]]),
+        np.column_stack([sigma_h, rows[:, 6], sigma_speed]),
+        name,
+    )
 
 
 def _truth(rows: FloatArray, name: str, clean: Cleaner) -> Truth:

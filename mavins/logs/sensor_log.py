@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from mavins.errors import LogFormatError
+from mavins.logs.readings import Readings
 from mavins.logs.truth import Truth
 from mavins.types import BaroSample, GnssFix, HeadingFix, ImuTable, MagSample
 
@@ -55,10 +56,10 @@ class SensorLog:
     """
 
     imu: ImuTable
-    gnss: list[GnssFix]
-    headings: list[HeadingFix]
-    mag: list[MagSample]
-    baro: list[BaroSample]
+    gnss: Readings[GnssFix]
+    headings: Readings[HeadingFix]
+    mag: Readings[MagSample]
+    baro: Readings[BaroSample]
     truth: Truth | None
     reference: Truth | None
     names: Mapping[str, str]

@@ -13,8 +13,10 @@ from typing import Final
 import numpy as np
 
 from mavins.errors import LogFormatError
+from mavins.logs import readings
 from mavins.logs.cleaning import Cleaner, thinned
 from mavins.logs.packed import fault_of, open_packed
+from mavins.logs.readings import Readings
 from mavins.logs.sensor_log import DEFAULT, Choice, SensorLog, chosen
 from mavins.logs.truth import Truth
 from mavins.logs.ulog_file import Rows, Topic, UlogFile, scan
@@ -32,10 +34,14 @@ _GPS: Final = (
     *("eph", "epv", "s_variance_m_s", "fix_type", "satellites_used"),
 )
 _WANTED: Final = {
-    "sensor_combined": ("timestamp", "gyro_rad", "gyro_integral_dt", "accelerometer_m_s2"),
+    "sensor_combined": (
+        *("timestamp", "gyro_rad", "gyro_integral_dt", "accelerometer_m_s2"),
+        "accelerometer_clipping",
+    ),
     "vehicle_imu": (
         *_STAMPS,
         *("delta_angle", "delta_velocity", "delta_angle_dt", "delta_velocity_dt"),
+        "delta_velocity_clipping",
     ),
     "vehicle_gps_position": _GPS,
     "sensor_gps": _GPS,
@@ -76,7 +82,7 @@ def read_ulog(path: Path, choice: Choice = DEFAULT) -> SensorLog:
         )
     imu = chosen("IMU", choice.imu, list(imus), _usual(file, imus))
     table = _imu(imus[imu][0], file.topics[imus[imu]], clean)
-    names, gnss, delay = {"imu": imu}, list[GnssFix](), None
+    names, gnss, delay = {"imu": imu}, readings.NO_FIXES, None
     if receivers or choice.gnss:
         names["gnss"] = chosen(
             "GNSS", choice.gnss, list(receivers), _usual(file, receivers) if receivers else ""
@@ -102,7 +108,7 @@ def read_ulog(path: Path, choice: Choice = DEFAULT) -> SensorLog:
     return SensorLog(
         table,
         gnss,
-        [],
+        readings.NO_HEADINGS,
         mag,
         baro,
         truth,
@@ -157,12 +163,14 @@ def _imu(topic: str, rows: Rows, clean: Cleaner) -> ImuTable:
     usable &= (dt_us >= 0) & (dt_us < 1_000_000)
     kept = clean.rows("imu", t_us - dt_us // 2, usable)
     stamps: IntArray = (t_us - dt_us // 2)[kept]
-    return ImuTable(stamps, accel[kept].astype(np.float64), gyro[kept].astype(np.float64))
+    told = [name for name in rows.dtype.names or () if name.endswith("_clipping")]
+    clipped = rows[told[0]][kept] != 0 if told else None
+    return ImuTable(stamps, accel[kept].astype(np.float64), gyro[kept].astype(np.float64), clipped)
 
 
 def _fixes(
     file: UlogFile, topic: Topic, name: str, clean: Cleaner
-) -> tuple[list[GnssFix], float | None]:
+) -> tuple[Readings[GnssFix], float | None]:
     """The fixes, and their delay: none where the message itself tells when it was measured."""
     rows = file.topics[topic]
     if "latitude_deg" in (rows.dtype.names or ()):
@@ -172,36 +180,27 @@ def _fixes(
         place = np.column_stack([rows["lat"], rows["lon"]]) * 1e-7
         alt = rows["alt"] * 1e-3
     velocity = np.column_stack([rows[f"vel_{axis}_m_s"] for axis in "ned"]).astype(np.float64)
-    accuracy = np.column_stack([rows["eph"], rows["epv"], rows["s_variance_m_s"]]).tolist()
+    accuracy = np.column_stack([rows["eph"], rows["epv"], rows["s_variance_m_s"]])
     usable = (abs(place) <= (90.0, 180.0)).all(axis=1) & (abs(alt) <= MAX_ALTITUDE)
     moving = rows["vel_ned_valid"].astype(bool) & (abs(velocity) <= MAX_SPEED).all(axis=1)
-    t_us, places = _stamps(rows), np.radians(place).tolist()
-    fixes = []
-    for k in clean.rows("gnss", t_us, usable).tolist():
-        h, v, speed = (s if 0.0 < s < np.inf else None for s in accuracy[k])
-        (lat, lon), (v_n, v_e, v_d) = places[k], velocity[k].tolist()
-        fixes.append(
-            GnssFix(
-                int(t_us[k]),
-                lat,
-                lon,
-                float(alt[k]),
-                (v_n, v_e, v_d) if moving[k] else None,
-                int(rows["fix_type"][k]),
-                int(rows["satellites_used"][k]),
-                h,
-                v,
-                speed,
-                name,
-            )
-        )
+    velocity[~moving] = np.nan
+    t_us, quality = _stamps(rows), [rows["fix_type"], rows["satellites_used"]]
+    kept = clean.rows("gnss", t_us, usable)
+    fixes = readings.fixes(
+        t_us[kept],
+        np.column_stack([np.radians(place), alt])[kept],
+        velocity[kept],
+        np.column_stack(quality)[kept],
+        accuracy[kept],
+        name,
+    )
     told = file.parameters.get(f"SENS_GPS{topic[1]}_DELAY", file.parameters.get("EKF2_GPS_DELAY"))
     if (t_us != rows["timestamp"].astype(np.int64)).mean() > 0.5:
         told = 0.0
     return fixes, None if told is None else told * 1e-3
 
 
-def _mags(file: UlogFile, names: dict[str, str], clean: Cleaner) -> list[MagSample]:
+def _mags(file: UlogFile, names: dict[str, str], clean: Cleaner) -> Readings[MagSample]:
     """The magnetometer that the vehicle chose and calibrated, or for want of it the first as it is."""
     for name in ("vehicle_magnetometer", "sensor_mag"):
         rows = file.topics.get((name, 0))
@@ -215,20 +214,20 @@ def _mags(file: UlogFile, names: dict[str, str], clean: Cleaner) -> list[MagSamp
         kept = clean.rows("mag", t_us, np.isfinite(field).all(axis=1))
         t_us, field = thinned(t_us[kept], field[kept])
         names["mag"] = name
-        return [MagSample(t, field[k], name) for k, t in enumerate(t_us.tolist())]
-    return []
+        return readings.fields(t_us, field, name)
+    return readings.NO_FIELDS
 
 
-def _baros(file: UlogFile, names: dict[str, str], clean: Cleaner) -> list[BaroSample]:
+def _baros(file: UlogFile, names: dict[str, str], clean: Cleaner) -> Readings[BaroSample]:
     name = "vehicle_air_data"
     rows = file.topics.get((name, 0))
     if rows is None:
-        return []
+        return readings.NO_LEVELS
     t_us, alt = _stamps(rows), rows["baro_alt_meter"].astype(np.float64)
     kept = clean.rows("baro", t_us, abs(alt) <= MAX_ALTITUDE)
     t_us, means = thinned(t_us[kept], alt[kept, None])
     names["baro"] = name
-    return [BaroSample(t, float(means[k, 0]), name) for k, t in enumerate(t_us.tolist())]
+    return readings.levels(t_us, means[:, 0], name)
 
 
 def _references(file: UlogFile) -> dict[str, tuple[str, str, int]]:

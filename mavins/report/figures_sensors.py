@@ -106,8 +106,8 @@ def vibration(evidence: Evidence) -> Figure:
     accel = [line(axis, t, imu.spread[:, 3 + i], AXIS_COLORS[i]) for i, axis in enumerate(_AXES)]
     panels = [Panel("gyro, deg/s", tuple(gyro)), Panel("accel, m/s²", tuple(accel))]
     if imu.clipped.any():
-        clipped = line("at 16 g", t, imu.clipped.astype(np.float64), RED)
-        panels.append(Panel("at 16 g, 1/s", (clipped,)))
+        clipped = line("at its limit", t, imu.clipped.astype(np.float64), RED)
+        panels.append(Panel("at its limit, 1/s", (clipped,)))
     return Figure(
         "vibration", "Motion and vibration: standard deviation within a second", tuple(panels)
     )

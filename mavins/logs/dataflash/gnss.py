@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
 
+from mavins.logs import readings
 from mavins.logs.dataflash.channels import Channel, Reading
 from mavins.logs.dataflash.formats import Batch, Format
 from mavins.logs.dataflash.tables import forward
+from mavins.logs.readings import Readings
 from mavins.mavlink.codec.checks import MAX_ALTITUDE, MAX_SPEED
 from mavins.types import FloatArray, GnssFix, HeadingFix, IntArray
 
@@ -76,10 +77,10 @@ class ReceiverParameters:
 
 def fixes_of(
     gps: Channel, gpa: Channel, dropped: Counter[str]
-) -> tuple[list[GnssFix], list[HeadingFix]]:
+) -> tuple[Readings[GnssFix], Readings[HeadingFix]]:
     """All fixes of a receiver, and headings where it has two antennas; repeated ones are counted in `dropped`."""
     if gps.source is None:
-        return [], []
+        return readings.NO_FIXES, readings.NO_HEADINGS
     logged_us, rows = gps.table.t_us, gps.table.rows
     claims = _claims(gps, gpa)
     came_us = np.where(np.isfinite(claims[:, 0]), claims[:, 0] * 1e3, logged_us)
@@ -89,7 +90,7 @@ def fixes_of(
     dropped[f"{gps.source} repeated"] += len(t_us) - len(chosen)
     table = np.column_stack([rows, claims[:, 1:]])[chosen]
     source = str(gps.source)
-    return list(_fixes(t_us[chosen], table, source)), list(_headings(t_us[chosen], table, source))
+    return _fixes(t_us[chosen], table, source), _headings(t_us[chosen], table, source)
 
 
 def _claims(gps: Channel, gpa: Channel) -> FloatArray:
@@ -102,44 +103,19 @@ def _claims(gps: Channel, gpa: Channel) -> FloatArray:
     return claims
 
 
-def _fixes(t_us: IntArray, table: FloatArray, source: str) -> Iterator[GnssFix]:
-    for stamp, row in zip(t_us.tolist(), table.tolist(), strict=True):
-        status, lat, lon, alt, speed, course, v_d, satellites, _, sigma_h, sigma_v, sigma_speed = (
-            row[:12]
-        )
-        has_vertical = row[12] != 0.0
-        along = math.radians(course)
-        yield GnssFix(
-            stamp,
-            math.radians(lat),
-            math.radians(lon),
-            alt,
-            (
-                speed * math.cos(along),
-                speed * math.sin(along),
-                v_d if has_vertical else math.nan,
-            ),
-            int(status),
-            int(satellites) if satellites > 0.0 else None,
-            _claim(sigma_h),
-            _claim(sigma_v),
-            _claim(sigma_speed),
-            source,
-        )
+def _fixes(t_us: IntArray, table: FloatArray, source: str) -> Readings[GnssFix]:
+    speed, course, satellites = table[:, 4], np.radians(table[:, 5]), table[:, 7]
+    v_d = np.where(table[:, 12] != 0.0, table[:, 6], np.nan)
+    velocity = np.column_stack([speed * np.cos(course), speed * np.sin(course), v_d])
+    place = np.column_stack([np.radians(table[:, 1:3]), table[:, 3]])
+    quality = np.column_stack([table[:, 0], np.where(satellites > 0.0, satellites, np.nan)])
+    return readings.fixes(t_us, place, velocity, quality, table[:, 9:12], source)
 
 
-def _headings(t_us: IntArray, table: FloatArray, source: str) -> Iterator[HeadingFix]:
-    for stamp, row in zip(t_us.tolist(), table.tolist(), strict=True):
-        yaw, sigma = row[8], row[13]
-        # 0 is said where there is none; north is 360
-        if row[0] >= 3 and 0.0 < abs(yaw) <= 360.0:
-            wrapped = math.remainder(math.radians(yaw), math.tau)
-            claim = _claim(sigma)
-            yield HeadingFix(
-                stamp, wrapped, None if claim is None else math.radians(claim), f"{source}.Yaw"
-            )
-
-
-def _claim(sigma: float) -> float | None:
-    """A receiver's sigma; 0 and nan are none."""
-    return sigma if 0.0 < sigma < math.inf else None
+def _headings(t_us: IntArray, table: FloatArray, source: str) -> Readings[HeadingFix]:
+    yaw, sigma = table[:, 8], np.radians(table[:, 13])
+    # 0 is said where there is none; north is 360
+    kept = np.flatnonzero((table[:, 0] >= 3) & (abs(yaw) > 0.0) & (abs(yaw) <= 360.0))
+    wrapped = np.remainder(np.radians(yaw[kept]) + math.pi, math.tau) - math.pi
+    claimed = np.where((sigma > 0.0) & np.isfinite(sigma), sigma, np.nan)[kept]
+    return readings.headings(t_us[kept], wrapped, claimed, f"{source}.Yaw")

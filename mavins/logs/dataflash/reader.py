@@ -6,13 +6,13 @@ Stamps are TimeUS, microseconds since boot. Format: docs/reference/dataflash.md.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Final, TypeAlias
 
 import numpy as np
 
 from mavins.errors import LogFormatError
+from mavins.logs import readings
 from mavins.logs.cleaning import thinned
 from mavins.logs.dataflash import judges
 from mavins.logs.dataflash.binary import BinaryLog
@@ -24,7 +24,7 @@ from mavins.logs.dataflash.text import TextLog
 from mavins.logs.packed import fault_of, open_packed
 from mavins.logs.sensor_log import DEFAULT, Choice, SensorLog
 from mavins.mavlink.codec.checks import MAX_ACCEL, MAX_GYRO
-from mavins.types import BaroSample, FloatArray, ImuTable, MagSample
+from mavins.types import FloatArray, ImuTable
 
 
 def _rates(rows: FloatArray) -> FloatArray:
@@ -149,6 +149,12 @@ def _sensor_log(
     fixes, headings = fixes_of(channels.gnss, channels.quality, dropped)
     if headings:
         names["heading"] = headings[0].source
+    mag, baro = readings.NO_FIELDS, readings.NO_LEVELS
+    if "mag" in names:
+        mag = readings.fields(*thinned(*channels.mag.table.release()), names["mag"])
+    if "baro" in names:
+        t_us, rows = thinned(*channels.baro.table.release())
+        baro = readings.levels(t_us, rows[:, 0], names["baro"])
     for name, judge in (("truth", truth), ("reference", reference)):
         if judge is not None:
             names[name] = judge.source
@@ -158,8 +164,8 @@ def _sensor_log(
         ImuTable(t_us, imu[:, 3:], imu[:, :3]),
         fixes,
         headings,
-        [MagSample(t, row, names["mag"]) for t, row in _slow(channels.mag)],
-        [BaroSample(t, float(row[0]), names["baro"]) for t, row in _slow(channels.baro)],
+        mag,
+        baro,
         truth,
         reference,
         names,
@@ -170,8 +176,3 @@ def _sensor_log(
         messages,
         channels.firmware.name,
     )
-
-
-def _slow(channel: Channel) -> Iterator[tuple[int, FloatArray]]:
-    t_us, rows = thinned(*channel.table.release())
-    return zip(t_us.tolist(), rows, strict=True)

@@ -264,7 +264,7 @@ def test_an_imu_that_is_slow_or_has_gaps(clean: Result) -> None:
 def test_clipping(clean: Result) -> None:
     clipped = np.zeros(200, dtype=np.int64)
     clipped[[7, 8]] = 3
-    assert "6 samples, in 2 seconds" in the(with_imu(clean, clipped=clipped), "16 g").text
+    assert "6 samples, in 2 seconds" in the(with_imu(clean, clipped=clipped), "at its limit").text
 
 
 def test_gnss_that_is_silent_or_lost(clean: Result) -> None:

@@ -153,10 +153,26 @@ def test_all_sensors(tmp_path: Path) -> None:
     assert (fix.fix_type, fix.satellites, fix.t_us) == (3, 14, START)
     assert log.gnss_delay == pytest.approx(0.11)
     assert log.baro[0].alt == 12.5
-    assert log.headings == []
+    assert not log.headings
     assert log.truth is None
     assert dict(log.damage) == {}
     assert sum(log.dropped.values()) == 0
+
+
+def test_where_the_accelerometer_was_clipped(tmp_path: Path) -> None:
+    gps = (0.5, 0.15, 500.0, 545.0, 0.0, 0.0, 0.0, True, 0.5, 0.9, 0.2, 3, 14)
+    w = Writer().topic("sensor_combined", COMBINED + "uint8_t accelerometer_clipping;")
+    w.topic("vehicle_imu", IMU + "uint8_t delta_velocity_clipping;").topic("sensor_gps", GPS)
+    for k, t in enumerate(stamps(1.0, 200.0)):
+        w.data("sensor_combined", t, 0.0, 0.0, 0.0, 5000, 0, 0.0, 0.0, -9.8, 5000, 4 * (k == 7))
+        w.data("vehicle_imu", t, t, 7, *[0.0] * 5, -0.049, 5000, 5000, 3 * (k in (8, 9)))
+    w.data("sensor_gps", START, START, *gps)
+    path = written(tmp_path / "flight.ulg", w.bytes())
+    for imu, where in (("sensor_combined", [7]), ("vehicle_imu.0", [8, 9])):
+        clipped = read_ulog(path, Choice(imu=imu)).imu.clipped
+        assert clipped is not None
+        assert np.flatnonzero(clipped).tolist() == where
+    assert read_ulog(written(tmp_path / "old.ulg", flight().bytes())).imu.clipped is None
 
 
 def test_the_magnetometer_is_averaged_down_to_20_hz(tmp_path: Path) -> None:
