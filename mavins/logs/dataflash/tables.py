@@ -56,6 +56,8 @@ class Table:
             period = t_us // self._period_us
             first = np.diff(period, prepend=newest // self._period_us) > 0
             t_us, rows = t_us[first], rows[first]
+        if not len(t_us):
+            return  # an empty table does not know its width yet
         end = self._count + len(t_us)
         if end > len(self._t_us):
             # grown in place, so that there are never two of them

@@ -19,7 +19,7 @@ from mavins.logs.content import kind_of
 from mavins.logs.dataflash import read_dataflash
 from mavins.logs.dataflash.binary import BinaryLog
 from mavins.logs.dataflash.formats import CHARACTERS, HEADER, format_of
-from mavins.logs.dataflash.tables import forward
+from mavins.logs.dataflash.tables import Table, forward
 from mavins.logs.sensor_log import Choice, SensorLog
 from mavins.nav.so3 import quat_to_euler
 
@@ -360,6 +360,14 @@ def test_it_does_not_matter_how_the_bytes_come(step: int) -> None:
 )
 def test_stamps_go_forward(stamps: list[int], after: int, kept: list[int]) -> None:
     assert forward(np.array(stamps), after).tolist() == kept
+
+
+def test_a_table_of_which_no_row_is_taken() -> None:
+    table = Table()
+    table.append(np.array([-5]), np.ones((1, 3)))
+    assert (len(table), table.dropped) == (0, 1)
+    table.append(np.array([7]), np.ones((1, 3)))
+    assert table.rows.shape == (1, 3)
 
 
 @pytest.mark.parametrize(
