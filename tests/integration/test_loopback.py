@@ -24,7 +24,7 @@ from pymavlink.dialects.v20 import all as dialect
 from mavins.cli.main import main
 from mavins.logs.tlog import read_tlog
 
-pytestmark = [pytest.mark.slow, pytest.mark.jit]
+pytestmark = [pytest.mark.slow, pytest.mark.jit, pytest.mark.wheel]
 
 RATES = {
     "HEARTBEAT": 1.0,
