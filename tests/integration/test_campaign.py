@@ -18,7 +18,7 @@ from mavins.cli.main import main
 # a flight through the estimator takes minutes where nothing is compiled
 pytestmark = [pytest.mark.jit, pytest.mark.slow]
 
-LOGS = 10
+LOGS = 8
 SERIES = ["montecarlo", "quad_mission", "--runs", "8", "--duration", "40"]
 
 
@@ -115,7 +115,7 @@ def test_an_interrupted_archive_goes_on_where_it_was(tmp_path: Path) -> None:
     archive.mkdir()
     first = archive / "0.tlog"
     subprocess.run(
-        [*sitl, "--record", str(first), "--duration", "40", "--speed", "max"], check=True
+        [*sitl, "--record", str(first), "--duration", "30", "--speed", "max"], check=True
     )
     for k in range(1, LOGS):
         (archive / f"{k}.tlog").write_bytes(first.read_bytes())
