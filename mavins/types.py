@@ -43,6 +43,10 @@ class ImuTable:
     def __len__(self) -> int:
         return len(self.t_us)
 
+    def __getitem__(self, rows: slice | IntArray) -> ImuTable:
+        """Some of the rows."""
+        return ImuTable(self.t_us[rows], self.accel_b[rows], self.gyro_b[rows])
+
 
 @dataclass(frozen=True, slots=True)
 class GnssFix:
@@ -98,6 +102,10 @@ class BaroSample:
     t_us: int
     alt: float
     source: str = "baro"
+
+
+Reading: TypeAlias = HeadingFix | MagSample | BaroSample
+"""What a sensor other than IMU and GNSS says."""
 
 
 class Health(enum.IntEnum):

@@ -54,7 +54,7 @@ def measure(
         t_us,
         np.array([alt]),
         np.array([[sigma**2]]),
-        np.concatenate([frame.r0_e, frame.C_ne.ravel()]),
+        frame.parameters,
         model,
         gate,
     )

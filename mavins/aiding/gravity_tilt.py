@@ -63,7 +63,7 @@ def measure(
         t_us,
         accel_b,
         np.eye(3) * sigma**2,
-        np.concatenate([frame.r0_e, frame.C_ne.ravel()]),
+        frame.parameters,
         model,
         gate,
     )

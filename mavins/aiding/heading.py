@@ -59,7 +59,7 @@ def measure(
         t_us,
         np.array([fix.yaw]),
         np.array([[sigma**2]]),
-        np.concatenate([frame.r0_e, frame.C_ne.ravel()]),
+        frame.parameters,
         model,
         gate,
         quality,

@@ -1,4 +1,4 @@
-"""Residuals of many states in one call, for filters that probe a measurement instead of differentiating it."""
+"""Every aiding in kernels that are told which: what a measurement says of a state, or of many states in one call."""
 
 from __future__ import annotations
 
@@ -16,7 +16,34 @@ from mavins.aiding import (
     zero_velocity,
 )
 from mavins.nav.kernels import kernel
+from mavins.nav.layout import CANONICAL_SIZE
 from mavins.types import FloatArray
+
+
+@kernel
+def linearize(
+    rank: int, x: FloatArray, u: FloatArray, z: FloatArray, parameters: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Residual (m,) and Jacobian (m, 25) of the aiding with this rank at the nominal state x (26,)."""
+    if rank == gnss_position.RANK:
+        return gnss_position.model(x, u, z, parameters)
+    if rank == gnss_velocity.RANK:
+        return gnss_velocity.model(x, u, z, parameters)
+    if rank == heading.RANK:
+        return heading.model(x, u, z, parameters)
+    if rank == zero_velocity.RANK:
+        return zero_velocity.model(x, u, z, parameters)
+    if rank == magnetometer.RANK:
+        return magnetometer.model(x, u, z, parameters)
+    if rank == zero_rate.RANK:
+        return zero_rate.model(x, u, z, parameters)
+    if rank == baro.RANK:
+        return baro.model(x, u, z, parameters)
+    if rank == gravity_tilt.RANK:
+        return gravity_tilt.model(x, u, z, parameters)
+    if rank == nonholonomic.RANK:
+        return nonholonomic.model(x, u, z, parameters)
+    return np.full(len(z), np.nan), np.zeros((len(z), CANONICAL_SIZE))
 
 
 @kernel
@@ -26,24 +53,5 @@ def residuals(
     """Residuals (k, m) of the aiding with this rank at the nominal states X (k, 26)."""
     out = np.empty((len(X), len(z)))
     for k in range(len(X)):
-        if rank == gnss_position.RANK:
-            out[k] = gnss_position.model(X[k], u, z, parameters)[0]
-        elif rank == gnss_velocity.RANK:
-            out[k] = gnss_velocity.model(X[k], u, z, parameters)[0]
-        elif rank == heading.RANK:
-            out[k] = heading.model(X[k], u, z, parameters)[0]
-        elif rank == zero_velocity.RANK:
-            out[k] = zero_velocity.model(X[k], u, z, parameters)[0]
-        elif rank == magnetometer.RANK:
-            out[k] = magnetometer.model(X[k], u, z, parameters)[0]
-        elif rank == zero_rate.RANK:
-            out[k] = zero_rate.model(X[k], u, z, parameters)[0]
-        elif rank == baro.RANK:
-            out[k] = baro.model(X[k], u, z, parameters)[0]
-        elif rank == gravity_tilt.RANK:
-            out[k] = gravity_tilt.model(X[k], u, z, parameters)[0]
-        elif rank == nonholonomic.RANK:
-            out[k] = nonholonomic.model(X[k], u, z, parameters)[0]
-        else:
-            out[k] = np.nan
+        out[k] = linearize(rank, X[k], u, z, parameters)[0]
     return out

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +17,7 @@ import numpy as np
 from mavins.aiding import Measurement, zero_rate, zero_velocity
 from mavins.aiding.detectors import gnss_speed
 from mavins.estimator.aligner import Aligner, Candidate
+from mavins.estimator.feed import Between
 from mavins.estimator.fusion import Event, Fusion, Track
 from mavins.estimator.gate import gate_threshold
 from mavins.estimator.health import judged
@@ -37,7 +38,7 @@ from mavins.estimator.solution import solution_of
 from mavins.estimator.standing import HALF_WINDOW_US
 from mavins.estimator.statistics import AidingStatistics
 from mavins.estimator.still import Still, still_detector
-from mavins.estimator.timeline import Timeline
+from mavins.estimator.timeline import Arrivals, Timeline
 from mavins.estimator.yaw_watch import YawWatch
 from mavins.filters import Filter, FilterState, RowBlock, make
 from mavins.nav.earth import TangentFrame
@@ -53,6 +54,7 @@ from mavins.types import (
     MagSample,
     NavSolution,
     Origin,
+    Reading,
 )
 
 
@@ -189,12 +191,25 @@ class Estimator:
 
     def feed_imu(self, table: ImuTable) -> None:
         """Take IMU samples in the order of their arrival."""
+        self.feed_run(table, ())
+
+    def feed_run(self, table: ImuTable, between: Sequence[Between]) -> None:
+        """Take IMU samples and readings by turns, in the order of their arrival.
+
+        `between` are readings, each with the number of samples that came before it. The outcome is that of feeding
+        them one after the other.
+        """
         t_us, imu = to_body(table, self._imu_delay_us, self._rotation)
         max_gap_us = round(self.settings.estimator.max_gap * 1e6)
-        start, n = 0, len(t_us)
+        start, n, k = 0, len(t_us), 0
         while start < n:
-            newest = self.t_us
-            first = int(t_us[start])
+            newest, first = self.t_us, int(t_us[start])
+            if newest is not None and not newest < first <= newest + max_gap_us:
+                # what came before such a sample must be in first
+                while k < len(between) and between[k][0] <= start:
+                    self._take_reading(between[k][1])
+                    k += 1
+                newest = self.t_us
             if newest is not None and first <= newest:
                 self._late_sample(first, imu[start])
                 start += 1
@@ -202,8 +217,19 @@ class Estimator:
             end = run_end(t_us, start, -1 if newest is None else newest, max_gap_us)
             if newest is not None and first - newest > max_gap_us:
                 self._lost(f"IMU gap of {(first - newest) * 1e-6:.1f} s", Health.ALIGNING)
-            self._take_rows(t_us[start:end], imu[start:end], newest)
+            came = k
+            while k < len(between) and between[k][0] < end:
+                k += 1
+            arrivals = self._arrivals(between[came:k], start) if k > came else ()
+            self._take_rows(t_us[start:end], imu[start:end], newest, arrivals)
             start = end
+        for _, reading in between[k:]:
+            self._take_reading(reading)
+
+    def _arrivals(self, between: Sequence[Between], start: int) -> Arrivals:
+        """Readings as measurements, with the number of rows from `start` on that came before each."""
+        made = ((max(0, rows - start), self._measurement(reading)) for rows, reading in between)
+        return [(rows, m) for rows, m in made if m is not None]
 
     def feed_gnss(self, fix: GnssFix) -> None:
         """Take a GNSS fix."""
@@ -232,28 +258,15 @@ class Estimator:
 
     def feed_heading(self, fix: HeadingFix) -> None:
         """Take a heading."""
-        measuring = self._measuring
-        if self.running and self.frame is not None:
-            self._take(measuring.of_heading(fix, self.frame))
-        else:
-            self._aligner.see_heading(fix, measuring.heading_time(fix))
+        self._take_reading(fix)
 
     def feed_mag(self, sample: MagSample) -> None:
         """Take a reading of a magnetometer."""
-        measuring = self._measuring
-        direction_b = measuring.compass.direction_b(sample)
-        if direction_b is None:
-            return
-        if self.running and self.frame is not None:
-            self._take(measuring.of_field(sample, direction_b, self.frame))
-        else:
-            self._aligner.see_field(direction_b, measuring.field_time(sample))
+        self._take_reading(sample)
 
     def feed_baro(self, sample: BaroSample) -> None:
         """Take a barometric altitude."""
-        level = self._measuring.barometer.altitude(sample)
-        if level is not None and self.running and self.frame is not None:
-            self._take(self._measuring.of_altitude(sample, level, self.frame))
+        self._take_reading(sample)
 
     def flush(self) -> None:
         """Hand over the output rows that are held."""
@@ -282,10 +295,14 @@ class Estimator:
             outputs.history,
         )
 
-    def _take_rows(self, t_us: IntArray, imu: FloatArray, newest: int | None) -> None:
+    def _take_rows(
+        self, t_us: IntArray, imu: FloatArray, newest: int | None, arrivals: Arrivals
+    ) -> None:
         """Append rows, of which only the last may have passed a tick, and move the estimate through them."""
         self.imu_rows += len(t_us)
-        self._line.append(t_us, imu)
+        refused = self._line.append(t_us, imu, arrivals)
+        if refused:
+            self._decide(refused)
         self._check_sanity()
         last = int(t_us[-1])
         before = newest if len(t_us) == 1 else int(t_us[-2])
@@ -300,6 +317,26 @@ class Estimator:
         else:
             self.imu_rows += 1
             self._check_sanity()
+
+    def _take_reading(self, reading: Reading) -> None:
+        measurement = self._measurement(reading)
+        if measurement is not None:
+            self._take(measurement)
+
+    def _measurement(self, reading: Reading) -> Measurement | None:
+        """What a reading says to the filter; before there is an estimate it goes to the aligner."""
+        if self.running and self.frame is not None:
+            return self._measuring.of(reading, self.frame)
+        match reading:
+            case HeadingFix():
+                self._aligner.see_heading(reading, self._measuring.heading_time(reading))
+            case MagSample():
+                direction_b = self._measuring.compass.direction_b(reading)
+                if direction_b is not None:
+                    self._aligner.see_field(direction_b, self._measuring.field_time(reading))
+            case BaroSample():
+                self._measuring.barometer.altitude(reading)
+        return None
 
     def _take(self, *measurements: Measurement) -> None:
         """Fuse measurements where they belong."""

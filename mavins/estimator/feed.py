@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from collections.abc import Sequence
+from typing import Protocol, TypeAlias
 
 from mavins.estimator.settings import Settings
-from mavins.types import BaroSample, GnssFix, HeadingFix, ImuTable, MagSample, Origin
+from mavins.types import BaroSample, GnssFix, HeadingFix, ImuTable, MagSample, Origin, Reading
+
+Between: TypeAlias = tuple[int, Reading]
+"""A reading, and after how many samples of a table it came."""
 
 
 class Feed(Protocol):
@@ -28,6 +32,9 @@ class Feed(Protocol):
     def feed_imu(self, table: ImuTable) -> None:
         """Take IMU samples."""
 
+    def feed_run(self, table: ImuTable, between: Sequence[Between]) -> None:
+        """Take IMU samples and readings by turns; the outcome is that of feeding them one after the other."""
+
     def feed_gnss(self, fix: GnssFix) -> None:
         """Take a GNSS fix."""
 
@@ -39,6 +46,29 @@ class Feed(Protocol):
 
     def feed_baro(self, sample: BaroSample) -> None:
         """Take a barometer's reading."""
+
+
+def by_turns(feed: Feed, table: ImuTable, between: Sequence[Between]) -> None:
+    """Feed IMU samples and the readings between them one after the other."""
+    start = 0
+    for rows, reading in between:
+        if rows > start:
+            feed.feed_imu(table[start:rows])
+            start = rows
+        feed_reading(feed, reading)
+    if start < len(table):
+        feed.feed_imu(table[start:])
+
+
+def feed_reading(feed: Feed, reading: Reading) -> None:
+    """Feed one reading."""
+    match reading:
+        case HeadingFix():
+            feed.feed_heading(reading)
+        case MagSample():
+            feed.feed_mag(reading)
+        case BaroSample():
+            feed.feed_baro(reading)
 
 
 class Relay:
@@ -75,6 +105,10 @@ class Relay:
     def feed_imu(self, table: ImuTable) -> None:
         """Hand on IMU samples."""
         self.feed.feed_imu(table)
+
+    def feed_run(self, table: ImuTable, between: Sequence[Between]) -> None:
+        """Hand on IMU samples and readings, one after the other."""
+        by_turns(self, table, between)
 
     def feed_gnss(self, fix: GnssFix) -> None:
         """Hand on a GNSS fix."""

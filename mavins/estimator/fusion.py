@@ -58,10 +58,20 @@ class Event:
         """True where it was fused."""
         return not self.reason
 
+    def take(self, nis: float, innovation: FloatArray, S: FloatArray) -> None:
+        """What the filter said of it."""
+        self.nis, self.innovation, self.S = nis, innovation, S
+
     @property
     def sigma(self) -> FloatArray:
         """sqrt(diag S) (m,): how large the innovation was expected to be."""
         return sigmas_of(self.S)
+
+
+def threshold_of(event: Event) -> float:
+    """The NIS up to which an event is fused; negative for one that is not to be."""
+    m = event.measurement
+    return -1.0 if m.quality else gate_threshold(m.gate, len(m.z))
 
 
 def _put(values: tuple[int, ...], place: int, value: int) -> tuple[int, ...]:
@@ -83,13 +93,16 @@ class Fusion:
 
     def fuse(self, state: FilterState, event: Event) -> None:
         """Fuse one event at the state's time, which is the measurement's valid time; the event takes the outcome."""
+        event.take(*self.filter.update(state, event.measurement, threshold_of(event)))
+        self.conclude(state, event)
+
+    def conclude(self, state: FilterState, event: Event) -> None:
+        """What follows from the outcome of an event, of which `state` must be the state where it was refused."""
         m = event.measurement
         event.reason = m.quality
-        gate = -1.0 if m.quality else gate_threshold(m.gate, len(m.z))
-        event.nis, event.innovation, event.S = self.filter.update(state, m, gate)
         if m.quality:
             return
-        if event.nis <= gate:
+        if event.nis <= threshold_of(event):
             self._accept(m)
         else:
             event.reason = "numeric" if math.isnan(event.nis) else "gate"

@@ -17,7 +17,7 @@ from mavins.estimator.settings import Settings
 from mavins.filters import FilterState
 from mavins.nav.earth import TangentFrame
 from mavins.nav.layout import X_TAU
-from mavins.types import BaroSample, FloatArray, GnssFix, HeadingFix, MagSample
+from mavins.types import BaroSample, FloatArray, GnssFix, HeadingFix, MagSample, Reading
 
 _NOTHING = np.empty(0)
 
@@ -85,6 +85,18 @@ class Measuring:
         )
         velocity = gnss_velocity.measure(fix, t_us, frame, noise.speed, gate, quality, delay)
         return [position] if velocity is None else [position, velocity]
+
+    def of(self, reading: Reading, frame: TangentFrame) -> Measurement | None:
+        """A reading of another sensor; None where it says nothing."""
+        match reading:
+            case HeadingFix():
+                return self.of_heading(reading, frame)
+            case MagSample():
+                direction_b = self.compass.direction_b(reading)
+                return None if direction_b is None else self.of_field(reading, direction_b, frame)
+            case BaroSample():
+                level = self.barometer.altitude(reading)
+                return None if level is None else self.of_altitude(reading, level, frame)
 
     def heading_time(self, fix: HeadingFix) -> int:
         """When a heading was valid."""

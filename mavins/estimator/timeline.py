@@ -8,7 +8,8 @@ happen to lie makes no difference to the result: a run is the same from any of t
 from __future__ import annotations
 
 from bisect import bisect_right, insort
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
+from typing import TypeAlias
 
 import numpy as np
 
@@ -16,15 +17,17 @@ from mavins.aiding import Measurement
 from mavins.estimator.buffer import ImuBuffer
 from mavins.estimator.fusion import Event, Fusion, Track
 from mavins.estimator.history import History, Snapshot
+from mavins.estimator.passage import Rows, Visit, passage_of
 from mavins.filters import Filter, FilterState, RowBlock
 from mavins.nav.earth import TangentFrame
 from mavins.nav.layout import X_G, Layout
 from mavins.nav.so3 import dcm_to_quat, quat_to_dcm
 from mavins.types import FloatArray, IntArray
 
-SNAPSHOT_US = 40_000
-LONGEST_RUN = 25
-"""IMU rows that are walked at most without a snapshot."""
+Arrivals: TypeAlias = Sequence[tuple[int, Measurement]]
+"""Measurements, and after how many rows each came."""
+LONGEST_RUN = 128
+"""IMU rows that are walked at most in one go."""
 ROWS_HELD = 512
 """Output rows are handed over in blocks; `flush` hands over what there is."""
 
@@ -58,6 +61,7 @@ class Timeline:
         self.frame: TangentFrame | None = None
         self.fusion = fusion
         self._filter = algorithm
+        self._passage = passage_of(algorithm)
         self._buffer_us = buffer_us
         self._grid_us = grid_us
         self._write = rows
@@ -77,7 +81,7 @@ class Timeline:
         self.fusion.track = track
         self._snapshots = [Snapshot(state.t_us, state.copy(), track)]
         self._tell_start(frame)
-        self._run(self.buffer.row_after(state.t_us), -1)
+        self._run(self.buffer.row_after(state.t_us), -1, 0)
 
     def change_frame(self, frame: TangentFrame) -> list[Event]:
         """Go on in another frame; ends all decisions."""
@@ -96,6 +100,7 @@ class Timeline:
         decided = self.end()
         fusion.track = self.fusion.track
         self.fusion, self._filter = fusion, fusion.filter
+        self._passage = passage_of(fusion.filter)
         if self.state is not None:
             self.state.own = np.empty((0, 0))
         self._start_here()
@@ -109,12 +114,49 @@ class Timeline:
         self._snapshots = [Snapshot(self.state.t_us, self.state.copy(), self.fusion.track)]
         self._tell_start(self.frame)
 
-    def append(self, t_us: IntArray, imu: FloatArray) -> None:
-        """Add IMU rows that follow the newest, and move the state through them."""
+    def append(self, t_us: IntArray, imu: FloatArray, arrivals: Arrivals = ()) -> list[Event]:
+        """Add IMU rows that follow the newest, with the measurements that came between them, and move the state on.
+
+        `arrivals` says after how many of the rows each came, in their order; it is ignored without a state. Returns
+        the measurements, decided, for which there is no place.
+        """
+        refused: list[Event] = []
+        start, run = 0, list[Event]()
+        for rows, m in arrivals if self.state is not None else ():
+            newest_us = int(t_us[rows - 1]) if rows else self.buffer.newest_us
+            event = self._event(m)
+            if self._is_next(event, newest_us, run or self._events):
+                run.append(event)
+                continue
+            self._advance(t_us[start:rows], imu[start:rows], run)
+            start, run = rows, []
+            refused += self.take((m,))
+        self._advance(t_us[start:], imu[start:], run)
+        return refused
+
+    def _is_next(self, event: Event, newest_us: int, others: Sequence[Event]) -> bool:
+        """True where an event that comes when `newest_us` is the newest stamp has its place there, after the others."""
+        t_us = event.order[0]
+        in_order = newest_us <= t_us <= newest_us + self._buffer_us
+        return (
+            in_order
+            and t_us > self._snapshots[0].t_us
+            and not (others and others[-1].order > event.order)
+        )
+
+    def _advance(self, t_us: IntArray, imu: FloatArray, events: Sequence[Event]) -> None:
+        """Add rows, and events whose places are among or behind them, and move the state on."""
         self.buffer.append(t_us, imu)
-        if self.state is not None:
-            self._tell_rows(t_us, imu)
-            self._run(self.buffer.end - len(t_us), self._grid_us)
+        if self.state is None:
+            return
+        self._tell_rows(t_us, imu)
+        i = self._unfused()
+        self._events += events
+        self._run(self.buffer.end - len(t_us), self._grid_us, i)
+
+    def _event(self, m: Measurement) -> Event:
+        self._sequence += 1
+        return Event(m, (m.t_us, m.rank, m.source, self._sequence))
 
     def insert(self, t_us: int, reading: FloatArray) -> str:
         """Put a late IMU row in its place; returns why not, or nothing."""
@@ -139,8 +181,7 @@ class Timeline:
         newest, earliest = self.buffer.newest_us, None
         oldest = max(self._snapshots[0].t_us, newest - self._buffer_us)
         for m in measurements:
-            self._sequence += 1
-            event = Event(m, (m.t_us, m.rank, m.source, self._sequence))
+            event = self._event(m)
             if m.t_us <= oldest:
                 event.reason = "too old"
                 refused.append(event)
@@ -149,7 +190,7 @@ class Timeline:
                 refused.append(event)
             elif m.t_us == newest and earliest is None and not self._comes_before(event):
                 self._events.append(event)
-                self._fuse_now(self.state, event)
+                self._run(self.buffer.end, -1, len(self._events) - 1)
             else:
                 self._insert(event)
                 if m.t_us <= newest:
@@ -215,16 +256,6 @@ class Timeline:
         if self._history is not None:
             self._history.rows(t_us, imu)
 
-    def _fuse_now(self, state: FilterState, event: Event) -> None:
-        """Fuse the last event of all at the newest row, where the state already is: nothing is to be run again.
-
-        A snapshot of this instant would lack the event; the one at the start stays, it lies before every event.
-        """
-        while len(self._snapshots) > 1 and self._snapshots[-1].t_us >= state.t_us:
-            self._snapshots.pop()
-        self.fusion.fuse(state, event)
-        self._snapshot(state)
-
     def _rewind(self, t_us: int) -> None:
         """Run again everything from just before t_us."""
         assert self.state is not None
@@ -235,67 +266,52 @@ class Timeline:
             del self._snapshots[i + 1 :]
             self.state = self._snapshots[i].state.copy()
             self.fusion.track = self._snapshots[i].track
-        self._run(self.buffer.row_after(self.state.t_us), -1)
+        self._run(self.buffer.row_after(self.state.t_us), -1, self._unfused())
 
-    def _run(self, first: int, grid_us: int) -> None:
-        """Move the state to the newest row, fusing the events on the way; `first` is the first row not walked."""
+    def _unfused(self) -> int:
+        """The first event that is not fused yet: those that wait for IMU rows lie at the end."""
+        assert self.state is not None
+        i = len(self._events)
+        while i > 0 and self._events[i - 1].order[0] > self.state.t_us:
+            i -= 1
+        return i
+
+    def _run(self, first: int, grid_us: int, i: int) -> None:
+        """Move the state to the newest row, fusing the events on the way: from row `first` and event `i` on."""
         state, frame, buffer = self.state, self.frame, self.buffer
         assert state is not None
         assert frame is not None
-        newest, end = buffer.newest_us, buffer.end
-        # what is not fused yet lies at the end
-        i = len(self._events)
-        while i > 0 and self._events[i - 1].order[0] > state.t_us:
-            i -= 1
         while True:
-            event = self._events[i] if i < len(self._events) else None
-            if event is not None and event.order[0] > newest:
-                event = None
-            until = newest if event is None else event.order[0]
-            last = end if event is None else buffer.row_after(until)
-            while last - first > LONGEST_RUN:
-                first += LONGEST_RUN
-                stamp = buffer.stamp(first - 1)
-                self._walk(state, frame, first - LONGEST_RUN, first, stamp, grid_us)
-                self._snapshot(state)
-            if until > state.t_us:
-                # all events so far are in: a place to come back to
-                self._snapshot(state)
-                self._walk(state, frame, first, min(last + 1, end), until, grid_us)
-            first = last
-            if event is None:
-                break
-            self.fusion.fuse(state, event)
-            i += 1
-        self._snapshot(state)
+            end = min(first + LONGEST_RUN, buffer.end)
+            until_us = buffer.newest_us if end == buffer.end else buffer.stamp(end - 1)
+            j = i
+            while j < len(self._events) and self._events[j].order[0] <= until_us:
+                j += 1
+            if j == i and until_us <= state.t_us:
+                return
+            before_us = state.t_us if first == buffer.first else buffer.stamp(first - 1)
+            t_us, imu = buffer.times(first, end), buffer.readings(first, end)
+            rows = Rows(t_us, imu, before_us, until_us, grid_us, self._rows)
+            events = self._events[i:j]
+            done, visits = self._passage.go(state, frame, rows, events, self._snapshots[-1].t_us)
+            self._conclude(state, events[:done], visits)
+            i += done
+            first = buffer.row_after(state.t_us)
+            if self._rows.count > ROWS_HELD - LONGEST_RUN:
+                self.flush()
 
-    def _walk(
-        self,
-        state: FilterState,
-        frame: TangentFrame,
-        first: int,
-        end: int,
-        until_us: int,
-        grid_us: int,
+    def _conclude(
+        self, state: FilterState, events: Sequence[Event], visits: Iterable[Visit]
     ) -> None:
-        buffer, rows = self.buffer, self._rows
-        previous = state.t_us if first == buffer.first else buffer.stamp(first - 1)
-        self._filter.walk(
-            state,
-            frame,
-            buffer.times(first, end),
-            buffer.readings(first, end),
-            until_us,
-            previous,
-            grid_us,
-            rows,
-        )
-        if rows.count > ROWS_HELD - LONGEST_RUN:
-            self.flush()
-
-    def _snapshot(self, state: FilterState) -> None:
-        if not self._snapshots or state.t_us - self._snapshots[-1].t_us >= SNAPSHOT_US:
-            self._snapshots.append(Snapshot(state.t_us, state.copy(), self.fusion.track))
+        """Draw the conclusions from events that were fused, and keep the states on the way with what was known then."""
+        k = 0
+        for visit in visits:
+            for event in events[k : visit.events]:
+                self.fusion.conclude(state, event)
+            k = visit.events
+            self._snapshots.append(Snapshot(visit.state.t_us, visit.state, self.fusion.track))
+        for event in events[k:]:
+            self.fusion.conclude(state, event)
 
 
 def _carry_over(state: FilterState, layout: Layout, old: TangentFrame, new: TangentFrame) -> None:

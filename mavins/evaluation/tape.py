@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from mavins.estimator.estimator import Estimator
+from mavins.estimator.feed import Between, by_turns
 from mavins.estimator.settings import Settings
 from mavins.types import (
     BaroSample,
@@ -21,6 +22,10 @@ from mavins.types import (
     MagSample,
     Origin,
 )
+
+_READINGS: Final = frozenset(("feed_heading", "feed_mag", "feed_baro"))
+_TOGETHER: Final = 4096
+"""IMU samples that are played together at most."""
 
 
 class Tape:
@@ -53,6 +58,10 @@ class Tape:
     def feed_imu(self, table: ImuTable) -> None:
         """Keep IMU samples."""
         self.feeds.append(("feed_imu", table))
+
+    def feed_run(self, table: ImuTable, between: Sequence[Between]) -> None:
+        """Keep IMU samples and readings."""
+        by_turns(self, table, between)
 
     def feed_gnss(self, fix: GnssFix) -> None:
         """Keep a GNSS fix."""
@@ -123,7 +132,31 @@ class Tape:
         return other
 
     def play(self, estimator: Estimator) -> None:
-        """Feed all of it, and finish."""
-        for name, what in self.feeds:
-            getattr(estimator, name)(what)
+        """Feed all of it, IMU samples and the readings between them together, and finish."""
+        tables: list[ImuTable] = []
+        between: list[Between] = []
+        rows = 0
+        for name, what in [*self.feeds, ("", None)]:
+            if name == "feed_imu":
+                tables.append(what)
+                rows += len(what)
+            elif name in _READINGS and rows:
+                between.append((rows, what))
+            if (name == "feed_imu" and rows < _TOGETHER) or (name in _READINGS and rows):
+                continue
+            if tables:
+                estimator.feed_run(_joined(tables), between)
+                tables, between, rows = [], [], 0
+            if name and name != "feed_imu":
+                getattr(estimator, name)(what)
         estimator.finish()
+
+
+def _joined(tables: Sequence[ImuTable]) -> ImuTable:
+    if len(tables) == 1:
+        return tables[0]
+    return ImuTable(
+        np.concatenate([table.t_us for table in tables]),
+        np.concatenate([table.accel_b for table in tables]),
+        np.concatenate([table.gyro_b for table in tables]),
+    )

@@ -5,11 +5,12 @@ What it costs must not show beside the estimator: tables are kept as they come a
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 
-from mavins.estimator.feed import Feed, Relay
+from mavins.estimator.feed import Between, Feed, Relay
 from mavins.estimator.vibration import CLIP
 from mavins.evaluation.evidence import Evidence, Gnss, ImuSeconds, thinned
 from mavins.evaluation.spectrum import Welch
@@ -48,10 +49,20 @@ class Witness(Relay):
     def feed_imu(self, table: ImuTable) -> None:
         """Hand on IMU samples, and keep them until they are enough to be looked at."""
         super().feed_imu(table)
-        self._tables.append(table)
-        self._waiting += len(table)
-        if self._waiting >= _BLOCK:
-            self._look()
+        self._keep(table)
+
+    def feed_run(self, table: ImuTable, between: Sequence[Between]) -> None:
+        """Hand on IMU samples and readings together, and keep of them what is kept of each."""
+        self.feed.feed_run(table, between)
+        self._keep(table)
+        for _, reading in between:
+            match reading:
+                case HeadingFix():
+                    self._headings.append((reading.t_us, reading.yaw))
+                case MagSample():
+                    self._mag.append(reading.t_us)
+                case BaroSample():
+                    self._baro.append(reading.t_us)
 
     def feed_gnss(self, fix: GnssFix) -> None:
         """Hand on and keep a GNSS fix."""
@@ -99,6 +110,12 @@ class Witness(Relay):
             thinned(truth),
             thinned(reference),
         )
+
+    def _keep(self, table: ImuTable) -> None:
+        self._tables.append(table)
+        self._waiting += len(table)
+        if self._waiting >= _BLOCK:
+            self._look()
 
     def _look(self) -> None:
         if not self._tables:

@@ -120,7 +120,7 @@ class Eskf:
 
     def __init__(self, noise: ImuNoise, layout: Layout, settings: FilterSettings) -> None:
         self.layout = layout
-        self._noise = noise.as_array(layout)
+        self.noise = noise.as_array(layout)
 
     def adopt(self, state: FilterState) -> None:
         """Nothing to do: the state is all that this filter has."""
@@ -148,7 +148,7 @@ class Eskf:
             state.t_us,
             t_us,
             imu,
-            self._noise,
+            self.noise,
             self.layout.has_gravity,
             frame.r0_e,
             frame.C_ne,

@@ -6,21 +6,22 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import compress
-from typing import TypeAlias, TypeVar
+from typing import Final, TypeVar
 
 import numpy as np
 
 from mavins.estimator.aiding_settings import MagnetometerSettings
-from mavins.estimator.feed import Feed
+from mavins.estimator.feed import Between, Feed
 from mavins.estimator.settings import Settings
 from mavins.estimator.spacing import shortest_us
 from mavins.logs.mag_calibration import calibrate
 from mavins.logs.sensor_log import SensorLog
 from mavins.nav.so3 import euler_to_quat, quat_to_dcm
-from mavins.types import BaroSample, GnssFix, HeadingFix, ImuTable, MagSample
+from mavins.types import GnssFix, MagSample, Reading
 
 SettingsT = TypeVar("SettingsT", bound=Settings)
-Reading: TypeAlias = GnssFix | HeadingFix | MagSample | BaroSample
+_TOGETHER: Final = 4096
+"""IMU samples that are fed together at most."""
 
 
 def settled(settings: SettingsT, log: SensorLog) -> SettingsT:
@@ -60,35 +61,34 @@ def feed_log(
     """Feed all tables merged by their stamps, with `settled` settings; at one stamp the IMU comes first."""
     imu, fed = log.imu, 0
     arrivals = _arrivals(log, settings)
-    ends = imu.t_us.searchsorted([item.t_us for item, _ in arrivals], "right").tolist()
-    for (item, in_place), end in zip(arrivals, ends, strict=True):
-        if in_place and end > fed:
-            estimator.feed_imu(_rows(imu, fed, end))
-            fed = end
+    ends = imu.t_us.searchsorted([item.t_us for item in arrivals], "right").tolist()
+    between: list[Between] = []
+    for item, end in zip(arrivals, ends, strict=True):
+        if end - fed >= _TOGETHER or isinstance(item, GnssFix):
+            estimator.feed_run(imu[fed:end], between)
+            between, fed = [], end
             progress(end / len(imu))
-        _feed(estimator, item)
-    if fed < len(imu):
-        estimator.feed_imu(_rows(imu, fed, len(imu)))
+        if isinstance(item, GnssFix):
+            estimator.feed_gnss(item)
+        else:
+            between.append((end - fed, item))
+    estimator.feed_run(imu[fed:], between)
     progress(1.0)
 
 
-def _arrivals(log: SensorLog, settings: Settings) -> list[tuple[Reading, bool]]:
-    """All measurements with the delays that are configured, by their stamps; False for those that will only be noted,
-    whose place among the IMU's samples does not matter: a barometer's readings beyond its highest rate.
-    """
-    delay, baro = settings.gnss.delay, settings.baro
+def _arrivals(log: SensorLog, settings: Settings) -> list[GnssFix | Reading]:
+    """All measurements with the delays that are configured, by their stamps."""
+    delay = settings.gnss.delay
     fixes = (fix if delay == "auto" else replace(fix, delay=delay) for fix in log.gnss)
     headings = (replace(fix, delay=settings.heading.delay) for fix in log.headings)
     mag = compress(log.mag, _due(log.mag, settings.magnetometer.max_rate))
-    levels = log.baro if baro.enabled else []
-    placed: list[Reading] = [*fixes, *headings, *mag]
-    arrivals: list[tuple[Reading, bool]] = [(item, True) for item in placed]
-    arrivals += zip(levels, _due(levels, baro.max_rate), strict=True)
-    arrivals.sort(key=lambda arrival: arrival[0].t_us)
+    levels = log.baro if settings.baro.enabled else []
+    arrivals: list[GnssFix | Reading] = [*fixes, *headings, *mag, *levels]
+    arrivals.sort(key=lambda item: item.t_us)
     return arrivals
 
 
-def _due(readings: Sequence[MagSample | BaroSample], max_rate: float) -> list[bool]:
+def _due(readings: Sequence[MagSample], max_rate: float) -> list[bool]:
     """True for the readings that are not too soon after the last such one, by the estimator's own rule."""
     due: list[bool] = []
     last_us = -math.inf
@@ -97,19 +97,3 @@ def _due(readings: Sequence[MagSample | BaroSample], max_rate: float) -> list[bo
         if due[-1]:
             last_us = reading.t_us
     return due
-
-
-def _feed(estimator: Feed, item: Reading) -> None:
-    match item:
-        case GnssFix():
-            estimator.feed_gnss(item)
-        case HeadingFix():
-            estimator.feed_heading(item)
-        case MagSample():
-            estimator.feed_mag(item)
-        case BaroSample():
-            estimator.feed_baro(item)
-
-
-def _rows(imu: ImuTable, first: int, end: int) -> ImuTable:
-    return ImuTable(imu.t_us[first:end], imu.accel_b[first:end], imu.gyro_b[first:end])

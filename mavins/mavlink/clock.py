@@ -129,6 +129,21 @@ class Clock:
         zeros, wild = int((verdict == _ZERO).sum()), int((verdict == _WILD).sum())
         return ImuTimes(t_us, keep, tuple(events), zeros, wild)
 
+    def knows(self, stamp_us: int) -> bool:
+        """True where a stamp like this one has its time from itself, and not from when it is received."""
+        newest = self.newest_us
+        if newest is None:
+            return False
+        return is_unix(stamp_us) == is_unix(newest) or self._unix_minus_boot is not None
+
+    def state(self) -> IntArray:
+        """What `map_imu` changes where nothing happens between its rows, for `set_back`."""
+        return self._state.copy()
+
+    def set_back(self, state: IntArray) -> None:
+        """Forget the IMU rows since then."""
+        self._state = state
+
     def system_time(self, unix_us: int | None, boot_us: int) -> None:
         """Learn the offset of the two clocks from a SYSTEM_TIME; one without UNIX time says
         nothing.
@@ -154,11 +169,14 @@ class Clock:
             return t_us
         return None if self._unix_minus_boot is None else t_us + self._unix_minus_boot
 
-    def map(self, stamp_us: int, received_us: int, wraps: bool = False) -> int | Rejection:
+    def map(
+        self, stamp_us: int, received_us: int, wraps: bool = False, newest: int | None = None
+    ) -> int | Rejection:
         """The time of a message that is not an IMU's, or why it has none; arguments as for
-        `map_imu`.
+        `map_imu`. `newest` is the newest IMU time where that is an older one.
         """
-        newest = self.newest_us
+        if newest is None:
+            newest = self.newest_us
         if newest is None:
             return "no IMU yet"
         if stamp_us <= 0:

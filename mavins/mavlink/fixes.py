@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, ClassVar, Final, Protocol
 
 from mavins.estimator.feed import Feed
@@ -19,7 +19,7 @@ PAIR_US: Final = 1_500_000
 VERTICAL_US: Final = 250_000
 REMEMBERED: Final = 50
 """So many stamps of fixes and headings are kept to know a repeated one by."""
-_ATTITUDE_ID: Final = fields_of("ATTITUDE").msgid
+ATTITUDE_ID: Final = fields_of("ATTITUDE").msgid
 _RECEIVER_IDS: Final = frozenset(fields_of(name).msgid for name in ("GPS_RAW_INT", "GPS2_RAW"))
 _GLOBAL_POSITION_ID: Final = fields_of("GLOBAL_POSITION_INT").msgid
 _NEVER_USED: Final = frozenset((fields_of("LOCAL_POSITION_NED").msgid,))
@@ -75,14 +75,32 @@ class Fixes:
         self._heading_gap_us = 0.0 if rate is None else shortest_us(rate)
         idle = {*_NEVER_USED, *(_RECEIVER_IDS - {fields_of(sources.receiver).msgid})}
         if sources.heading != "attitude":
-            idle.add(_ATTITUDE_ID)
+            idle.add(ATTITUDE_ID)
         if sources.gnss != "global_position_int" and not sources.vertical_velocity:
             idle.add(_GLOBAL_POSITION_ID)
         self._idle = frozenset(idle)
 
     def is_idle(self, msgid: int, stamp_us: int) -> bool:
         """True for a packet that will change nothing, told at a glance: most ATTITUDEs and GLOBAL_POSITION_INTs."""
-        return msgid in self._idle or (msgid == _ATTITUDE_ID and self._too_soon(stamp_us))
+        return msgid in self._idle or (msgid == ATTITUDE_ID and self._too_soon(stamp_us))
+
+    @property
+    def uses_attitude(self) -> bool:
+        """True where ATTITUDE is used, for its heading."""
+        return self._sources is not None and self._sources.heading == "attitude"
+
+    def along(
+        self, headings: Iterable[tuple[int, int, int, float]]
+    ) -> Iterator[tuple[int, HeadingFix]]:
+        """The headings to be used of ATTITUDEs that came between IMU samples which are on the time base already.
+
+        Of each: how many of the samples came before it, the newest time then, its stamp and its yaw.
+        """
+        for rows, newest_us, stamp_us, yaw in headings:
+            if not self._too_soon(stamp_us):
+                fix = self._heading(Attitude, stamp_us, yaw, None, "attitude", 0, newest_us)
+                if fix is not None:
+                    yield rows, fix
 
     def forget(self) -> None:
         """A reboot voids every stamp that was kept."""
@@ -201,15 +219,31 @@ class Fixes:
         received_us: int,
     ) -> None:
         """Hand a heading over, no oftener than the sources allow."""
+        fix = self._heading(type(message), message.stamp_us, yaw, sigma, source, received_us, None)
+        if fix is not None:
+            self._feed.feed_heading(fix)
+
+    def _heading(
+        self,
+        kind: type[GpsRaw | Attitude],
+        stamp_us: int,
+        yaw: float,
+        sigma: float | None,
+        source: str,
+        received_us: int,
+        newest_us: int | None,
+    ) -> HeadingFix | None:
+        """A heading, unless it came before, comes too soon, or has no time (counted)."""
         assert self._sources is not None
-        if message.stamp_us in self._heading_stamps:
-            self._dropped[f"{message.kind} repeated stamp"] += 1
-            return
-        if self._too_soon(message.stamp_us):
-            return
-        t_us = self._time_of(message, received_us)
-        if t_us is None:
-            return
-        self._heading_stamp = message.stamp_us
-        self._heading_stamps.append(message.stamp_us)
-        self._feed.feed_heading(HeadingFix(t_us, yaw, sigma, source, self._sources.heading_delay))
+        if stamp_us in self._heading_stamps:
+            self._dropped[f"{kind.kind} repeated stamp"] += 1
+            return None
+        if self._too_soon(stamp_us):
+            return None
+        t_us = self._clock.map(stamp_us, received_us, kind.wraps, newest_us)
+        if isinstance(t_us, str):
+            self._dropped[f"{kind.kind} {t_us}"] += 1
+            return None
+        self._heading_stamp = stamp_us
+        self._heading_stamps.append(stamp_us)
+        return HeadingFix(t_us, yaw, sigma, source, self._sources.heading_delay)

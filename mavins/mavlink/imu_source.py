@@ -17,7 +17,7 @@ from mavins.mavlink.codec import (
     decode_fields,
     decode_imu,
 )
-from mavins.types import FloatArray, IntArray
+from mavins.types import FloatArray, ImuTable, IntArray
 
 PREFERENCE: Final = tuple(IMU_KINDS)
 """IMU messages, the best first: HIGHRES_IMU, SCALED_IMU, SCALED_IMU2, SCALED_IMU3, RAW_IMU."""
@@ -39,6 +39,11 @@ class Samples:
     gyro_b: FloatArray
     received_us: IntArray
     field: FloatArray | None = None
+
+    def table(self, t_us: IntArray, part: slice) -> tuple[ImuTable, FloatArray | None]:
+        """The readings and fields of some of them, whose times (N,) are these."""
+        field = None if self.field is None else self.field[part]
+        return ImuTable(t_us, self.accel_b[part], self.gyro_b[part]), field
 
 
 class ImuSource:

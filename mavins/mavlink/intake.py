@@ -6,16 +6,18 @@ log. Neighbouring IMU packets go on as one table; the outcome does not depend on
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from collections.abc import Callable
-from typing import Any, Final, Protocol
+from collections.abc import Callable, Sequence
+from operator import itemgetter
+from typing import Any, Final, Protocol, TypeAlias
 
 import numpy as np
 
-from mavins.estimator.feed import Feed
+from mavins.estimator.feed import Between, Feed
 from mavins.estimator.settings import Settings
 from mavins.estimator.spacing import shortest_us
-from mavins.mavlink.clock import Clock, ImuTimes
+from mavins.mavlink.clock import NEWEST, Clock, ImuTimes
 from mavins.mavlink.codec import (
     IMU_KINDS,
     Attitude,
@@ -26,11 +28,12 @@ from mavins.mavlink.codec import (
     LocalPosition,
     SystemTime,
     decode,
+    decode_yaws,
     fields_of,
     name_of,
 )
 from mavins.mavlink.codec.framing import gather
-from mavins.mavlink.fixes import Fixes
+from mavins.mavlink.fixes import ATTITUDE_ID, Fixes
 from mavins.mavlink.imu_source import IMU_IDS, ImuSource, Samples
 from mavins.mavlink.sources import Sources, SourceSettings, resolve
 from mavins.types import FloatArray, GnssFix, ImuTable, IntArray, MagSample
@@ -56,6 +59,8 @@ _OTHER_IDS: Final = np.array(
 )
 RELEVANT: Final = np.union1d(IMU_IDS, _OTHER_IDS)
 """The message ids that an intake looks at; all others may be left out."""
+Waiting: TypeAlias = tuple[int, int, int, float]
+"""An ATTITUDE: how many IMU samples came before it, which packet it is, its stamp in us and its yaw in rad."""
 _FROM_ANY_COMPONENT: Final = ("GPS_INPUT", "HIL_GPS")
 _MAV_AUTOPILOT_INVALID: Final = 8
 
@@ -143,19 +148,25 @@ class Intake:
         stamps = _boot_stamps(frames, others)
         msgids, places = frames.msgid[others].tolist(), np.searchsorted(samples.at, others).tolist()
         is_idle, taken = self.fixes.is_idle, 0
-        for i, msgid, stamp_us, before in zip(others.tolist(), msgids, stamps, places, strict=True):
+        waiting: list[Waiting] = []
+        rows = zip(others.tolist(), msgids, stamps, places, self._yaws(frames, others), strict=True)
+        for i, msgid, stamp_us, before, yaw in rows:
             idle, watched = is_idle(msgid, stamp_us), self._is_watched(msgid, stamp_us)
+            if idle and not watched and not waiting:
+                continue
+            if msgid == ATTITUDE_ID and not watched and self.fixes.uses_attitude:
+                waiting.append((before, i, stamp_us, yaw))
+                continue
             if idle and not watched:
                 continue
-            if before > taken:
-                self._place(samples, slice(taken, before))
-                taken = before
+            if before > taken or waiting:
+                self._place_with(frames, samples, slice(taken, before), waiting)
+                taken, waiting = before, []
             if watched:
                 self._show(frames, i)
             if not idle:
                 self._take_other(frames, i)
-        if taken < len(samples.at):
-            self._place(samples, slice(taken, len(samples.at)))
+        self._place_with(frames, samples, slice(taken, len(samples.at)), waiting)
 
     def _take_one(self, frames: Frames) -> None:
         """Take one packet: what `take` comes to for the usual datagram, without the tables."""
@@ -207,36 +218,88 @@ class Intake:
                 return frames.select(np.arange(i, len(frames)))
         return frames.select(np.arange(0))
 
+    def _yaws(self, frames: Frames, at: IntArray) -> list[float]:
+        """The yaws (rad) of packets `at` that are ATTITUDEs of the vehicle, and nan for all others."""
+        yaws = np.full(len(at), np.nan)
+        rows = np.flatnonzero(
+            (frames.msgid[at] == ATTITUDE_ID) & (frames.compid[at] == self.imu.compid)
+        )
+        if len(rows):
+            yaws[rows] = decode_yaws(frames, at[rows])
+        known: list[float] = yaws.tolist()
+        return known
+
+    def _place_with(
+        self, frames: Frames, samples: Samples, part: slice, waiting: Sequence[Waiting]
+    ) -> None:
+        """Hand samples over, and with them the headings of the ATTITUDEs that came between them."""
+        if not (waiting and self._place_together(samples, part, waiting)):
+            self._place_by_turns(frames, samples, part, waiting)
+
+    def _place_together(self, samples: Samples, part: slice, waiting: Sequence[Waiting]) -> bool:
+        """The same in one go; False, and nothing done, where something happens on the way that has to be seen to."""
+        start = part.start
+        if part.stop == start or not self.clock.knows(waiting[0][2]):
+            return False
+        if any(math.isnan(yaw) for _, _, _, yaw in waiting):
+            return False
+        state = self.clock.state()
+        stamp_us, received_us = samples.stamp_us[part], samples.received_us[part]
+        times = self.clock.map_imu(stamp_us, received_us, self.imu.wraps)
+        if not times.regular:
+            self.clock.set_back(state)
+            return False
+        newest = np.maximum.accumulate(np.append(state[NEWEST], times.t_us)).tolist()
+        headings = (
+            (before - start, newest[before - start], stamp_us, yaw)
+            for before, _, stamp_us, yaw in waiting
+        )
+        self._feed(*samples.table(times.t_us, part), list(self.fixes.along(headings)))
+        return True
+
+    def _place_by_turns(
+        self, frames: Frames, samples: Samples, part: slice, waiting: Sequence[Waiting]
+    ) -> None:
+        """The same one after the other."""
+        taken = part.start
+        for before, i, stamp_us, _ in waiting:
+            if before > taken:
+                self._place(samples, slice(taken, before))
+                taken = before
+            if not self.fixes.is_idle(ATTITUDE_ID, stamp_us):
+                self._take_other(frames, i)
+        if part.stop > taken:
+            self._place(samples, slice(taken, part.stop))
+
     def _place(self, samples: Samples, part: slice) -> None:
         """Put samples on the time base and hand them over; a reboot between them starts the estimator over."""
         received_us = samples.received_us[part]
-        accel_b, gyro_b = samples.accel_b[part], samples.gyro_b[part]
         times = self.clock.map_imu(samples.stamp_us[part], received_us, self.imu.wraps)
-        field = None if samples.field is None else samples.field[part]
+        table, field = samples.table(times.t_us, part)
         if times.regular:
-            self._feed(times.t_us, accel_b, gyro_b, field)
+            self._feed(table, field)
         else:
             self.dropped["IMU zero stamp"] += times.zero_stamps
             self.dropped["IMU wild stamp"] += times.wild_stamps
-            self._place_around_events(times, accel_b, gyro_b, field)
+            self._place_around_events(times, table, field)
         if self.sources is None and self.imu.first_us is not None:
             waited_us = int(received_us[-1]) - self.imu.first_us
             if waited_us > HEARTBEAT_WAIT_US:
                 self._resolve(_MAV_AUTOPILOT_INVALID)
 
     def _feed(
-        self, t_us: IntArray, accel_b: FloatArray, gyro_b: FloatArray, field: FloatArray | None
+        self, table: ImuTable, field: FloatArray | None, headings: Sequence[Between] = ()
     ) -> None:
-        """Hand samples over, and behind each that brings a magnetometer reading that is due, the reading."""
-        start = 0
-        for end in [] if field is None else self._due(t_us, field):
-            rows = slice(start, end + 1)
-            self.estimator.feed_imu(ImuTable(t_us[rows], accel_b[rows], gyro_b[rows]))
+        """Hand samples over, headings between them, and behind each that brings a due magnetometer reading, it."""
+        between: list[Between] = []
+        for row in [] if field is None else self._due(table.t_us, field):
             assert field is not None
-            self.estimator.feed_mag(MagSample(int(t_us[end]), field[end], self.imu.name))
-            start = end + 1
-        if start < len(t_us):
-            self.estimator.feed_imu(ImuTable(t_us[start:], accel_b[start:], gyro_b[start:]))
+            sample = MagSample(int(table.t_us[row]), field[row], self.imu.name)
+            between.append((row + 1, sample))
+        if between and headings:
+            # of readings at one place the magnetometer's is first, it came with the sample
+            headings = sorted([*between, *headings], key=itemgetter(0))
+        self.estimator.feed_run(table, headings or between)
 
     def _due(self, t_us: IntArray, field: FloatArray) -> list[int]:
         """The rows whose reading follows the last one no sooner than the settings allow."""
@@ -250,23 +313,14 @@ class Intake:
         return due
 
     def _place_around_events(
-        self,
-        times: ImuTimes,
-        accel_b: FloatArray,
-        gyro_b: FloatArray,
-        field: FloatArray | None,
+        self, times: ImuTimes, table: ImuTable, field: FloatArray | None
     ) -> None:
         start = 0
         reboots = [event.row for event in times.events if event.kind == "reboot"]
         for end in (*reboots, len(times.t_us)):
             rows = start + np.flatnonzero(times.keep[start:end])
             if len(rows):
-                self._feed(
-                    times.t_us[rows],
-                    accel_b[rows],
-                    gyro_b[rows],
-                    None if field is None else field[rows],
-                )
+                self._feed(table[rows], None if field is None else field[rows])
             if end in reboots:
                 self.reboots += 1
                 self._forget()

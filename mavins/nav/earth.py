@@ -211,19 +211,24 @@ def point_n(lat: float, lon: float, alt: float, r0_e: FloatArray, C_ne: FloatArr
 
 @dataclass(frozen=True, slots=True)
 class TangentFrame:
-    """Frame n: its origin, the origin's ECEF position `r0_e` (3,), `C_ne` (3, 3) and the Earth rate `w_ie_n` (3,)."""
+    """Frame n: its origin, the origin's ECEF position `r0_e` (3,), `C_ne` (3, 3) and the Earth rate `w_ie_n` (3,).
+
+    `parameters` (12,) is r0_e, then C_ne row by row, as aiding models take them.
+    """
 
     origin: Origin
     r0_e: FloatArray
     C_ne: FloatArray
     w_ie_n: FloatArray
+    parameters: FloatArray
 
     @classmethod
     def at(cls, origin: Origin) -> TangentFrame:
         """The tangent frame at an origin."""
         C_ne = dcm_ne(origin.lat, origin.lon)
         w_ie_n = EARTH_RATE * np.ascontiguousarray(C_ne[:, 2])
-        return cls(origin, lla_to_ecef(origin.lat, origin.lon, origin.alt), C_ne, w_ie_n)
+        r0_e = lla_to_ecef(origin.lat, origin.lon, origin.alt)
+        return cls(origin, r0_e, C_ne, w_ie_n, np.concatenate([r0_e, C_ne.ravel()]))
 
     def from_lla(self, lat: float, lon: float, alt: float) -> FloatArray:
         """p_n (3,) in m of a geodetic position; exact at any distance."""

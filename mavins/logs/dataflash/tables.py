@@ -57,7 +57,7 @@ class Table:
             first = np.diff(period, prepend=newest // self._period_us) > 0
             t_us, rows = t_us[first], rows[first]
         if not len(t_us):
-            return  # an empty table does not know its width yet
+            return
         end = self._count + len(t_us)
         if end > len(self._t_us):
             # grown in place, so that there are never two of them

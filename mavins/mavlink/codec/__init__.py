@@ -78,7 +78,7 @@ from mavins.mavlink.codec.outputs import (
     sys_status,
     vibration,
 )
-from mavins.mavlink.codec.tables import decode_fields, decode_imu, payload_rows
+from mavins.mavlink.codec.tables import decode_fields, decode_imu, decode_yaws, payload_rows
 from mavins.mavlink.codec.to_autopilot import (
     gps_input,
     odometry_for_ardupilot,
@@ -123,6 +123,7 @@ __all__ = [
     "decode_fields",
     "decode_imu",
     "decode_truth",
+    "decode_yaws",
     "ekf_status_report",
     "estimator_status",
     "extended_sys_state",

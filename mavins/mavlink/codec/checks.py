@@ -9,6 +9,8 @@ MAX_ACCEL: Final = 2000.0
 """m/s^2; no sensor of a vehicle reads more, so more is damage."""
 MAX_GYRO: Final = 100.0
 """rad/s, likewise."""
+MAX_ANGLE: Final = 7.0
+"""rad, a turn to either side."""
 MAX_SPEED: Final = 1000.0
 """m/s, likewise."""
 MAX_ALTITUDE: Final = 100_000.0

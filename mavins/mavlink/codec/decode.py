@@ -17,6 +17,7 @@ import numpy as np
 
 from mavins.mavlink.codec.checks import (
     MAX_ACCEL,
+    MAX_ANGLE,
     MAX_GYRO,
     STAMP_LIMIT,
     UnusableError,
@@ -134,7 +135,7 @@ def _local_position_ned(v: Values) -> LocalPosition:
 def _attitude(v: Values) -> Attitude:
     stamp_ms, roll, pitch, yaw, *rates = v
     finite(roll, pitch, yaw, *rates)
-    check(max(abs(roll), abs(pitch), abs(yaw)) <= 7.0, "angle out of range")  # a turn, either sign
+    check(max(abs(roll), abs(pitch), abs(yaw)) <= MAX_ANGLE, "angle out of range")
     return Attitude(stamp_ms * 1000, roll, pitch, yaw, (rates[0], rates[1], rates[2]))
 
 

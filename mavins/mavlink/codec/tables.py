@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from mavins.mavlink.codec.checks import MAX_ACCEL, MAX_GYRO, STAMP_LIMIT
+from mavins.mavlink.codec.checks import MAX_ACCEL, MAX_ANGLE, MAX_GYRO, STAMP_LIMIT
 from mavins.mavlink.codec.decode import ACCEL_AND_GYRO, MILLI, SCALED_KINDS, SI
 from mavins.mavlink.codec.fields import Fields, fields_of
 from mavins.mavlink.codec.framing import Frames, gather
@@ -78,3 +78,14 @@ def decode_fields(frames: Frames, indices: IntArray) -> FloatArray:
         none |= rows["fields_updated"] & _MAGNETOMETER != _MAGNETOMETER
     readings[none] = np.nan
     return readings
+
+
+def decode_yaws(frames: Frames, indices: IntArray) -> FloatArray:
+    """The yaws (N,) in rad of packets `indices` (N,), which are all ATTITUDE; nan where `decode` says Invalid."""
+    rows = payload_rows(frames, indices, fields_of("ATTITUDE"))
+    angles = np.column_stack([rows["roll"], rows["pitch"], rows["yaw"]]).astype(np.float64)
+    rates = rows["rollspeed"], rows["pitchspeed"], rows["yawspeed"]
+    # a NaN compares as out of range
+    usable = (abs(angles) <= MAX_ANGLE).all(axis=1) & np.isfinite(rates).all(axis=0)
+    yaws: FloatArray = np.where(usable, angles[:, 2], np.nan)
+    return yaws

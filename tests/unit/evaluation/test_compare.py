@@ -14,7 +14,7 @@ from mavins.evaluation.compare import Run, converged_after, together
 from mavins.evaluation.compare_table import table_lines
 from mavins.evaluation.errors import Errors
 from mavins.evaluation.tape import Tape
-from mavins.types import FloatArray, GnssFix, IntArray
+from mavins.types import FloatArray, GnssFix, HeadingFix, ImuTable, IntArray
 
 
 def errors_with(north: FloatArray, yaw_deg: FloatArray) -> Errors:
@@ -108,6 +108,40 @@ def test_a_tape_gives_back_what_it_took() -> None:
     tape.restart("why")
     tape.play(Ear())  # type: ignore[arg-type]
     assert heard == [("feed_gnss", fix), ("restart", "why"), ("finish",)]
+
+
+def test_a_tape_plays_samples_and_what_lies_between_together() -> None:
+    tape = Tape(Settings())
+    heard: list[tuple[Any, ...]] = []
+
+    class Ear:
+        def __getattr__(self, name: str) -> Any:
+            return lambda *what: heard.append((name, *what))
+
+        def feed_run(self, table: ImuTable, between: list[Any]) -> None:
+            heard.append(("run", table.t_us.tolist(), list(between)))
+
+    a, b, c = (HeadingFix(k, 0.0) for k in range(3))
+    one, two = (ImuTable(np.arange(k), np.zeros((k, 3)), np.zeros((k, 3))) for k in (1, 2))
+    tape.feed_heading(a)
+    tape.feed_run(two, [(0, b), (1, c)])
+    tape.feed_imu(one)
+    tape.restart("why")
+    tape.feed_imu(one)
+    tape.play(Ear())  # type: ignore[arg-type]
+    assert heard == [
+        ("feed_heading", a),
+        ("feed_heading", b),
+        ("run", [0, 1, 0], [(1, c)]),
+        ("restart", "why"),
+        ("run", [0], []),
+        ("finish",),
+    ]
+
+
+def test_fixes_of_a_tape() -> None:
+    tape = Tape(Settings())
+    tape.feed_gnss(GnssFix(5, 0.1, 0.2, 3.0, None, 3))
     t_us, places = tape.fixes()
     assert t_us.tolist() == [5]
     assert_allclose(places, [[0.1, 0.2, 3.0]])

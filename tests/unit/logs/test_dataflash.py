@@ -362,20 +362,20 @@ def test_stamps_go_forward(stamps: list[int], after: int, kept: list[int]) -> No
     assert forward(np.array(stamps), after).tolist() == kept
 
 
-def test_a_table_of_which_no_row_is_taken() -> None:
-    table = Table()
-    table.append(np.array([-5]), np.ones((1, 3)))
-    assert (len(table), table.dropped) == (0, 1)
-    table.append(np.array([7]), np.ones((1, 3)))
-    assert table.rows.shape == (1, 3)
-
-
 @pytest.mark.parametrize(
     "parts",
     [("GPS", "QB", "TimeUS"), ("GPS", "Q?", "A,B"), ("GPS", "QQ", "A,A"), ("G\0", "Q", "A")],
 )
 def test_damaged_formats_are_none(parts: tuple[str, str, str]) -> None:
     assert format_of(*parts) is None
+
+
+def test_a_table_may_begin_with_nothing_usable() -> None:
+    table = Table()
+    table.append(np.empty(0, np.int64), np.empty((0, 3)))
+    table.append(np.array([5, 4]), np.array([[1.0, 2.0, 3.0], [0.0, 0.0, 0.0]]))
+    assert (table.t_us.tolist(), table.rows.tolist()) == ([5], [[1.0, 2.0, 3.0]])
+    assert table.dropped == 1
 
 
 flips = st.lists(st.tuples(st.floats(0, 1), st.integers(1, 255)), max_size=40)

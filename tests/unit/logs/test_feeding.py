@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,11 @@ import pytest
 from mavins.cli.replay import lines_of
 from mavins.config import Config, load
 from mavins.estimator.estimator import Estimator
+from mavins.estimator.feed import Between, by_turns
 from mavins.logs.csv_folder import read_csv_folder
 from mavins.logs.feeding import feed_log, settled
 from mavins.replay import ReplayOptions, replay
+from mavins.types import ImuTable
 
 SECONDS = 8
 
@@ -85,6 +88,9 @@ class Recorder(Estimator):
 
     def feed_imu(self, table: object) -> None:
         self.log += [("imu", int(t)) for t in table.t_us]  # type: ignore[attr-defined]
+
+    def feed_run(self, table: ImuTable, between: Sequence[Between]) -> None:
+        by_turns(self, table, between)
 
     def feed_gnss(self, fix: object) -> None:
         self.log.append(("gnss", fix.t_us))  # type: ignore[attr-defined]

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mavins.estimator.feed import by_turns
 from mavins.estimator.settings import Settings
 from mavins.nav.earth import TangentFrame
 from mavins.types import Health, NavSolution, Origin
@@ -107,6 +108,9 @@ class FakeEstimator:
     def feed_imu(self, table: Any) -> None:
         self.imu_rows += len(table)
         self.t_us = int(table.t_us[-1])
+
+    def feed_run(self, table: Any, between: Any) -> None:
+        by_turns(self, table, between)  # type: ignore[arg-type]
 
     def feed_gnss(self, fix: Any) -> None:
         self.feeds += 1

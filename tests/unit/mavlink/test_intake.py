@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import random
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from pymavlink.dialects.v20 import all as dialect
 
 from mavins.estimator.aiding_settings import MagnetometerSettings
+from mavins.estimator.feed import Between, by_turns
 from mavins.estimator.settings import GnssSettings, HeadingSettings, Settings
 from mavins.mavlink.codec import (
     Frames,
@@ -50,6 +52,9 @@ class Ear:
         for k in range(len(table)):
             row = (*table.accel_b[k].tolist(), *table.gyro_b[k].tolist())
             self.events.append(("imu", int(table.t_us[k]), row))
+
+    def feed_run(self, table: ImuTable, between: Sequence[Between]) -> None:
+        by_turns(self, table, between)  # type: ignore[arg-type]
 
     def feed_gnss(self, fix: GnssFix) -> None:
         self.events.append(("gnss", fix))

@@ -30,6 +30,7 @@ from mavins.mavlink.codec import (
     decode,
     decode_imu,
     decode_truth,
+    decode_yaws,
     fields_of,
     scan,
 )
@@ -111,6 +112,22 @@ class TestImu:
         frames = received("HIGHRES_IMU", time_usec=2**64 - 1, fields_updated=0x3F)
         assert decode(frames, 0) == Invalid("HIGHRES_IMU", "stamp out of range")
         assert not decode_imu(frames, np.array([0])).valid[0]
+
+
+angles = st.floats(width=32) | st.floats(-8.0, 8.0, width=32)
+
+
+@given(st.lists(st.tuples(*[angles] * 6), min_size=1, max_size=5))
+def test_many_yaws_are_those_of_one_by_one(rows: list[tuple[float, ...]]) -> None:
+    names = ("roll", "pitch", "yaw", "rollspeed", "pitchspeed", "yawspeed")
+    packets = [
+        received("ATTITUDE", time_boot_ms=1, **dict(zip(names, row, strict=True))).packet(0)
+        for row in rows
+    ]
+    frames = scan(b"".join(packets))
+    for i, yaw in enumerate(decode_yaws(frames, np.arange(len(rows)))):
+        one = decode(frames, i)
+        assert yaw == one.yaw if isinstance(one, Attitude) else math.isnan(yaw)
 
 
 imu_values = st.fixed_dictionaries(
