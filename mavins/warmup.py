@@ -37,6 +37,7 @@ from mavins.mavlink.codec import (
 from mavins.mavlink.session import Session
 from mavins.mavlink.track import Instant, tilt_and_yaw
 from mavins.nav.earth import TangentFrame
+from mavins.nav.ins import predict, workspace
 from mavins.nav.kernels import CACHE, compiles, is_cached, mark_cached
 from mavins.nav.layout import X_SIZE
 from mavins.nav.so3 import euler_to_quat
@@ -119,6 +120,17 @@ def _gnss(filter_name: str, report: Report) -> None:
 
 def _position(frame_n: TangentFrame) -> Measurement:
     return gnss_position.measure(_fix(0), 0, frame_n, 1.0, 1.0, 5.0)
+
+
+def _mechanization(filter_name: str, report: Report) -> None:
+    """The step of the error-state filters, without a filter around it."""
+    report("  mechanization")
+    algorithm, state, frame_n = _standing(filter_name)
+    layout, zero = algorithm.layout, (0.0, 0.0, 0.0)
+    noise = ImuNoise(0.01, 0.1, 1e-4, 1e-3).as_array(layout)
+    earth = (frame_n.r0_e, frame_n.C_ne, frame_n.w_ie_n)
+    work = workspace(layout.size, layout.has_gravity)
+    predict(state.x, state.P, zero, zero, 0.01, noise, 1.0, *earth, work)
 
 
 def _walk(filter_name: str, report: Report) -> None:
@@ -239,6 +251,7 @@ def _sample(t_us: int) -> ImuSample:
 STAGES: Final[dict[str, Callable[[str, Report], None]]] = {
     "gnss": _gnss,
     "aidings": _models,
+    "mechanization": _mechanization,
     "update": _update,
     "walk": _walk,
     "estimator": _estimate,
