@@ -9,11 +9,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from mavins import exports
 from mavins.config import Config, to_yaml
 from mavins.estimates import Estimates
 from mavins.estimator.estimator import Estimator
 from mavins.estimator.feed import Feed
+from mavins.estimator.fusion import Event
 from mavins.evaluation.evidence import FILE, write_evidence
 from mavins.evaluation.result_folder import Result, read_result
 from mavins.evaluation.witness import Witness
@@ -32,6 +36,7 @@ from mavins.results import (
 )
 from mavins.runs import run_source
 from mavins.sources import source_of
+from mavins.types import FloatArray, IntArray
 from mavins.whole_folder import written_whole
 
 
@@ -96,14 +101,13 @@ def _replay(
             witnesses.append(Witness(feed))
             return witnesses[0]
 
-        writer = stack.enter_context(ResultWriter(folder, layout))
+        writer, sigmas = stack.enter_context(ResultWriter(folder, layout)), _BiasSigmas()
         result = run_source(
-            source, log, o.start, o.end, o.rate, o.smooth, [writer], progress, before
+            source, log, o.start, o.end, o.rate, o.smooth, [writer, sigmas], progress, before, False
         )
     write_text(folder / "config.yaml", to_yaml(result.config))
     evidence = witnesses[0].evidence(source.truth, source.reference)
-    sigmas = result.table[:, BIAS_SIGMAS]
-    write_evidence(folder / FILE, replace(evidence, bias_sigmas=sigmas))
+    write_evidence(folder / FILE, replace(evidence, bias_sigmas=sigmas.table()))
     if result.smoothed is not None:
         write_estimates(folder / "smoothed.csv", result.smoothed, layout)
     summary = dict(result.summary)
@@ -112,6 +116,24 @@ def _replay(
     summary["times_real_time"] = summary["log_s"] / summary["cpu_s"]
     write_json(out / SUMMARY, summary)
     return summary
+
+
+class _BiasSigmas:
+    """Keeps what estimates.csv leaves to evidence.npz, as that has it."""
+
+    def __init__(self) -> None:
+        self._parts = [np.empty((0, 6), dtype=np.float32)]
+
+    def write_table(self, t_us: IntArray, table: FloatArray) -> None:
+        """Keep the biases' sigmas."""
+        self._parts.append(table[:, BIAS_SIGMAS].astype(np.float32))
+
+    def write_decision(self, event: Event) -> None:
+        """Nothing of it."""
+
+    def table(self) -> NDArray[np.float32]:
+        """All of them (N, 6)."""
+        return np.concatenate(self._parts)
 
 
 def write_estimates(path: Path, estimates: Estimates, layout: Layout) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -16,7 +16,9 @@ from mavins.estimator.feed import Feed
 from mavins.estimator.fusion import Event
 from mavins.estimator.history import History
 from mavins.estimator.smoothing import smooth as smooth_back
+from mavins.evaluation.errors import ErrorSums
 from mavins.filters.base import RowBlock
+from mavins.logs.truth import Truth
 from mavins.nav.earth import TangentFrame
 from mavins.nav.layout import Layout
 from mavins.results import BIAS_SIGMAS, further, table_of
@@ -70,14 +72,18 @@ def run_source(
     sinks: Sequence[Sink],
     progress: Callable[[float], None],
     before: Callable[[Estimator], Feed] = lambda estimator: estimator,
+    keep: bool = True,
 ) -> Result:
-    """`run` for a source that was opened from `path`; what is kept goes to the sinks as it comes.
+    """`run` for a source that was opened from `path`; what lies within the bounds goes to the sinks as it comes.
 
-    `before` puts what looks on between the source and the estimator.
+    `before` puts what looks on between the source and the estimator. Without `keep` the result has its summary, but
+    neither estimates nor innovations: those of hours are larger than the log.
     """
     config = source.config
     bounds = (round((start or 0.0) * 1e6), 2**62 if end is None else round(end * 1e6))
-    recorder = _Recorder(config.states.layout(), bounds, sinks)
+    judges = {"reference": source.reference, "truth": source.truth}
+    known = {key: judge for key, judge in judges.items() if judge is not None and len(judge) > 1}
+    recorder = _Recorder(config.states.layout(), bounds, sinks, known, keep)
     history = History() if smooth else None
     outputs = Outputs(grid_us(rate), recorder.take_rows, recorder.take_decision, history)
     estimator = Estimator(config, config.filter, outputs)
@@ -86,16 +92,14 @@ def run_source(
     estimates = recorder.estimates()
     summary: dict[str, Any] = {"mavins": __version__, "log": str(path)}
     summary |= {"filter": config.filter, **source.summary(estimator)}
-    judge = judge_of(source) if len(estimates) else None
-    errors = None
-    for key, known in (("reference", source.reference), ("truth", source.truth)):
-        if known is not None and len(known) > 1 and len(estimates):
-            errors = estimates.against(known)
-            summary[key] = {"source": known.source, **errors.summary()}
+    judge = judge_of(source)
+    for key, sums in recorder.errors.items() if recorder.rows else ():
+        summary[key] = {"source": known[key].source, **sums.summary()}
+    errors = estimates.against(judge) if judge is not None and len(estimates) else None
     smoothed = None if history is None else _smoothed(estimator, history, bounds)
     if smoothed is not None and judge is not None and len(smoothed):
         summary["smoothed"] = smoothed.against(judge).summary()
-    summary |= {"log_s": source.seconds, "rows": len(estimates), "damage": source.damage}
+    summary |= {"log_s": source.seconds, "rows": recorder.rows, "damage": source.damage}
     return Result(
         estimates.t_us,
         estimates.table,
@@ -111,25 +115,41 @@ def run_source(
 
 
 class _Recorder:
-    """Keeps what lies within bounds, and hands it on."""
+    """Hands on what lies within bounds, judges it, and keeps it if it is to be kept."""
 
-    def __init__(self, layout: Layout, bounds: tuple[int, int], sinks: Sequence[Sink]) -> None:
+    def __init__(
+        self,
+        layout: Layout,
+        bounds: tuple[int, int],
+        sinks: Sequence[Sink],
+        judges: Mapping[str, Truth],
+        keep: bool,
+    ) -> None:
         self._layout, self._bounds, self._sinks = layout, bounds, sinks
+        self._judges, self._keep = judges, keep
         self._tables: list[tuple[IntArray, FloatArray]] = []
+        self.errors = {name: ErrorSums() for name in judges}
+        self.rows = 0
         self.decisions = Decisions()
 
     def take_rows(self, block: RowBlock, frame: TangentFrame) -> None:
         t_us, table = _within(self._bounds, block, frame, self._layout)
         if not len(t_us):
             return
-        self._tables.append((t_us, table))
+        self.rows += len(t_us)
+        if self._keep:
+            self._tables.append((t_us, table))
+        estimates = _joined([(t_us, table)], self._layout)
+        for name, judge in self._judges.items():
+            self.errors[name].add(estimates.against(judge))
         for sink in self._sinks:
             sink.write_table(t_us, table)
 
     def take_decision(self, event: Event) -> None:
         if not self._bounds[0] <= event.measurement.t_us <= self._bounds[1]:
             return
-        self.decisions.keep(event)
+        if self._keep:
+            self.decisions.keep(event)
         for sink in self._sinks:
             sink.write_decision(event)
 
@@ -156,6 +176,8 @@ def _smoothed(estimator: Estimator, history: History, bounds: tuple[int, int]) -
 def _joined(tables: Sequence[tuple[IntArray, FloatArray]], layout: Layout) -> Estimates:
     places = further(layout)
     width = max((sigmas.stop for _, sigmas in places.values()), default=BIAS_SIGMAS.stop)
+    if len(tables) == 1:
+        return Estimates(*tables[0], places)
     t_us = np.concatenate([np.empty(0, dtype=np.int64), *(t for t, _ in tables)])
     table = np.concatenate([np.empty((0, width)), *(table for _, table in tables)])
     return Estimates(t_us, table, places)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavins.errors import LogFormatError, OutputError
 from mavins.evaluation.spectrum import Spectrum
@@ -69,7 +70,7 @@ class Evidence:
     baro_us: IntArray
     truth: Truth | None = None
     reference: Truth | None = None
-    bias_sigmas: FloatArray = field(default_factory=lambda: np.empty((0, 6)))
+    bias_sigmas: FloatArray | NDArray[np.float32] = field(default_factory=lambda: np.empty((0, 6)))
 
 
 def thinned(truth: Truth | None) -> Truth | None:
@@ -88,7 +89,7 @@ def write_evidence(path: Path, evidence: Evidence) -> None:
         "yaw": evidence.yaw,
         "mag_us": evidence.mag_us,
         "baro_us": evidence.baro_us,
-        "bias_sigmas": evidence.bias_sigmas.astype(np.float32),
+        "bias_sigmas": evidence.bias_sigmas.astype(np.float32, copy=False),
     }
     arrays |= _flat("gnss", evidence.gnss) | _flat("imu", evidence.imu)
     if evidence.spectrum is not None:
