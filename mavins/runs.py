@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
 
@@ -24,6 +24,9 @@ from mavins.nav.layout import Layout
 from mavins.results import BIAS_SIGMAS, further, table_of
 from mavins.sources import Log, Source, judge_of, open_log
 from mavins.types import FloatArray, IntArray
+
+_JUDGED_TOGETHER: Final = 4096
+"""Rows that are held against a truth at once."""
 
 
 class Sink(Protocol):
@@ -93,7 +96,7 @@ def run_source(
     summary: dict[str, Any] = {"mavins": __version__, "log": str(path)}
     summary |= {"filter": config.filter, **source.summary(estimator)}
     judge = judge_of(source)
-    for key, sums in recorder.errors.items() if recorder.rows else ():
+    for key, sums in recorder.errors().items() if recorder.rows else ():
         summary[key] = {"source": known[key].source, **sums.summary()}
     errors = estimates.against(judge) if judge is not None and len(estimates) else None
     smoothed = None if history is None else _smoothed(estimator, history, bounds)
@@ -128,7 +131,8 @@ class _Recorder:
         self._layout, self._bounds, self._sinks = layout, bounds, sinks
         self._judges, self._keep = judges, keep
         self._tables: list[tuple[IntArray, FloatArray]] = []
-        self.errors = {name: ErrorSums() for name in judges}
+        self._unjudged: list[tuple[IntArray, FloatArray]] = []
+        self._errors = {name: ErrorSums() for name in judges}
         self.rows = 0
         self.decisions = Decisions()
 
@@ -139,9 +143,9 @@ class _Recorder:
         self.rows += len(t_us)
         if self._keep:
             self._tables.append((t_us, table))
-        estimates = _joined([(t_us, table)], self._layout)
-        for name, judge in self._judges.items():
-            self.errors[name].add(estimates.against(judge))
+        self._unjudged.append((t_us, table))
+        if sum(len(t) for t, _ in self._unjudged) >= _JUDGED_TOGETHER:
+            self._judge()
         for sink in self._sinks:
             sink.write_table(t_us, table)
 
@@ -155,6 +159,18 @@ class _Recorder:
 
     def estimates(self) -> Estimates:
         return _joined(self._tables, self._layout)
+
+    def errors(self) -> dict[str, ErrorSums]:
+        """Of all rows, by judge."""
+        self._judge()
+        return self._errors
+
+    def _judge(self) -> None:
+        estimates = _joined(self._unjudged, self._layout)
+        self._unjudged.clear()
+        for name, judge in self._judges.items():
+            if len(estimates):
+                self._errors[name].add(estimates.against(judge))
 
 
 def _within(
