@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from mavins.config import Config
     from mavins.config import load as load_config
     from mavins.estimates import Estimates, Innovations, Result
+    from mavins.evaluation.result_folder import read_result
     from mavins.runs import run
     from mavins.sources import Log, open_log
 
@@ -27,6 +28,7 @@ _PLACES = {
     "Result": ("mavins.estimates", "Result"),
     "load_config": ("mavins.config", "load"),
     "open_log": ("mavins.sources", "open_log"),
+    "read_result": ("mavins.evaluation.result_folder", "read_result"),
     "run": ("mavins.runs", "run"),
 }
 """What the package offers -> where it is: imported when it is first asked for, so that `mavins --version` is quick."""
@@ -40,6 +42,7 @@ __all__ = [
     "__version__",
     "load_config",
     "open_log",
+    "read_result",
     "run",
 ]
 

@@ -2,53 +2,37 @@
 
 from __future__ import annotations
 
-from array import array
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mavins.config import Config
-from mavins.estimator.fusion import Event
-from mavins.estimator.solution import (
-    B_A,
-    B_G,
-    EULER,
-    LLA,
-    P_N,
-    Q_LB,
-    SD_EULER,
-    SD_P,
-    SD_V,
-    V_L,
-)
+from mavins.estimator.solution import EULER, LLA, P_N, Q_LB, V_L
 from mavins.evaluation.errors import Errors, errors_against
-from mavins.logs.truth import Truth
-from mavins.results import BIAS_SIGMAS
+from mavins.evaluation.evidence import Evidence
+from mavins.logs.truth import Truth, judge_of
+from mavins.nav.layout import Layout
+from mavins.results import places
 from mavins.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-_HEAD: Final = 5
-"""Numbers of a decision before its innovation: t_us, stamp_us, accepted, nis, rows."""
-_ROWS: Final = 3
-"""The most rows a measurement has."""
 
 
 @dataclass(frozen=True, slots=True)
 class Estimates:
     """N estimates at `t_us` (N,), in us on the vehicle's IMU clock.
 
-    `table` (N, 37 + k) is what estimates.csv holds, in rad: the views below are into it. `further` says where the
-    states beyond 15 are in it: name -> (values, sigmas).
+    `table` (N, 37 + k) is what estimates.csv holds, in rad, and then the sigmas of the biases, nan where they were not
+    kept; the views below are into it. `layout` says which states are estimated.
     """
 
     t_us: IntArray
     table: FloatArray
-    further: Mapping[str, tuple[slice, slice]]
+    layout: Layout
 
     def __len__(self) -> int:
         return len(self.t_us)
@@ -86,42 +70,47 @@ class Estimates:
     @property
     def sd_p_n(self) -> FloatArray:
         """1-sigma of `p_n` (N, 3), m."""
-        return self.table[:, SD_P]
+        return self.state("p_n")[1]
 
     @property
     def sd_v(self) -> FloatArray:
         """1-sigma of `v` (N, 3), m/s."""
-        return self.table[:, SD_V]
+        return self.state("v")[1]
 
     @property
     def sd_euler(self) -> FloatArray:
         """1-sigma of `euler` (N, 3), rad."""
-        return self.table[:, SD_EULER]
+        return self.state("euler")[1]
 
     @property
     def b_g(self) -> FloatArray:
         """Gyro bias, body (N, 3), rad/s."""
-        return self.table[:, B_G]
+        return self.state("b_g")[0]
 
     @property
     def b_a(self) -> FloatArray:
         """Accelerometer bias, body (N, 3), m/s^2."""
-        return self.table[:, B_A]
+        return self.state("b_a")[0]
 
     @property
     def sd_b_g(self) -> FloatArray:
         """1-sigma of `b_g` (N, 3), rad/s."""
-        return self.table[:, BIAS_SIGMAS][:, :3]
+        return self.state("b_g")[1]
 
     @property
     def sd_b_a(self) -> FloatArray:
         """1-sigma of `b_a` (N, 3), m/s^2."""
-        return self.table[:, BIAS_SIGMAS][:, 3:]
+        return self.state("b_a")[1]
 
     def state(self, name: str) -> tuple[FloatArray, FloatArray]:
-        """Values and 1-sigmas (N, m) of a further state: l_b, tau, b_baro, b_m or g_n; KeyError where it is not one."""
-        values, sigmas = self.further[name]
+        """Values and 1-sigmas (N, m) of p_n, v, euler, b_g, b_a, and where it is estimated of l_b, tau, b_baro, b_m or
+        g_n; KeyError for any other."""
+        values, sigmas = places(self.layout)[name]
         return self.table[:, values], self.table[:, sigmas]
+
+    def has(self, name: str) -> bool:
+        """True where `state` tells it."""
+        return name in places(self.layout)
 
     def against(self, truth: Truth) -> Errors:
         """Errors at those instants that the truth covers."""
@@ -153,23 +142,64 @@ class Innovations:
         """How many rows a measurement has."""
         return int(self.innovation.shape[1])
 
+    def select(self, which: NDArray[Any]) -> Innovations:
+        """The decisions with these numbers, or where this is true."""
+        return Innovations(*(getattr(self, column.name)[which] for column in fields(self)))
+
+
+def by_aiding(decisions: Mapping[str, NDArray[Any]]) -> dict[str, Innovations]:
+    """The columns of decisions on all aidings together, three of each innovation and sigma, as each aiding's own."""
+    found, aiding = {}, decisions["aiding"]
+    for name in dict.fromkeys(aiding.tolist()):
+        part = Innovations(*(decisions[column.name] for column in fields(Innovations)))
+        part = part.select(aiding == name)
+        rows = max(1, int(np.isfinite(part.innovation).any(axis=0).sum()))
+        found[name] = replace(
+            part, innovation=part.innovation[:, :rows], sigma=part.sigma[:, :rows]
+        )
+    return found
+
 
 @dataclass(frozen=True, slots=True)
 class Result(Estimates):
-    """A run of the estimator over a log.
+    """A run of the estimator over a log, as `mavins.run` makes it or `read_result` finds it in a folder.
 
-    `innovations` by aiding. `errors` are those against the truth, or for want of one the differences to the log's own
-    filter (`reference`); None where the log has neither. `smoothed` where it was asked for. `summary` is what
+    `innovations` by aiding. `evidence` is what the log held, None where none was kept, as by a live service. `errors`
+    are those against `judge`, None where it covers nothing. `smoothed` where it was asked for. `summary` is what
     summary.json holds, and `config` the configuration with all that the log itself decided.
     """
 
     config: Config
     innovations: Mapping[str, Innovations]
-    truth: Truth | None
-    reference: Truth | None
+    evidence: Evidence | None
     errors: Errors | None
     smoothed: Estimates | None
     summary: Mapping[str, Any]
+
+    @property
+    def filter(self) -> str:
+        """Whose result it is."""
+        return self.config.filter
+
+    @property
+    def truth(self) -> Truth | None:
+        """What a simulator, or a reference.csv, knew."""
+        return None if self.evidence is None else self.evidence.truth
+
+    @property
+    def reference(self) -> Truth | None:
+        """What the log's own filter said."""
+        return None if self.evidence is None else self.evidence.reference
+
+    @property
+    def judge(self) -> Truth | None:
+        """What the estimates are measured against: the truth, or for want of one the log's own filter."""
+        return judge_of(self.truth, self.reference)
+
+    @property
+    def is_true(self) -> bool:
+        """True where `judge` is a truth."""
+        return self.judge is not None and self.judge is self.truth
 
     def plot(self) -> Figure:
         """Draw it as a matplotlib figure, which needs the extra `report`."""
@@ -181,41 +211,3 @@ class Result(Estimates):
             hint = "matplotlib is not installed; install it with: pip install 'mavins[report]'"
             raise ModuleNotFoundError(hint, name=error.name) from error
         return plot_result(self)
-
-
-class Decisions:
-    """Keeps decisions in few bytes until they are asked for."""
-
-    def __init__(self) -> None:
-        self._numbers: dict[str, array[float]] = {}
-        self._words: dict[str, list[tuple[str, str]]] = {}
-
-    def keep(self, event: Event) -> None:
-        """Keep a decision."""
-        m = event.measurement
-        if m.aiding not in self._numbers:
-            self._numbers[m.aiding], self._words[m.aiding] = array("d"), []
-        r, sigma = event.innovation.tolist(), event.sigma.tolist()
-        lack = [np.nan] * (_ROWS - len(r))
-        head = (m.t_us, m.stamp_us, event.accepted, event.nis, len(r))
-        self._numbers[m.aiding].extend((*head, *r, *lack, *sigma, *lack))
-        self._words[m.aiding].append((m.source, event.reason))
-
-    def by_aiding(self) -> dict[str, Innovations]:
-        """All that was kept, as arrays."""
-        return {name: self._of(name) for name in sorted(self._numbers)}
-
-    def _of(self, aiding: str) -> Innovations:
-        n = np.array(self._numbers[aiding]).reshape(-1, _HEAD + 2 * _ROWS)
-        source, reason = zip(*self._words[aiding], strict=True)
-        rows = max(1, int(n[:, 4].max()))
-        return Innovations(
-            n[:, 0].astype(np.int64),
-            n[:, 1].astype(np.int64),
-            np.array(source),
-            n[:, 2].astype(np.bool_),
-            np.array(reason),
-            n[:, 3],
-            n[:, _HEAD : _HEAD + rows],
-            n[:, _HEAD + _ROWS : _HEAD + _ROWS + rows],
-        )

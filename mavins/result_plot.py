@@ -24,7 +24,7 @@ def plot_result(result: Result) -> Figure:
     """Draw a run over the truth, or over the log's own filter where there is no truth."""
     figure, axes = plt.subplots(3, 2, figsize=(13, 11), constrained_layout=True)
     track, altitude, speed, attitude, errors, nis = axes.ravel()
-    known = result.truth if result.truth is not None else result.reference
+    known = result.judge
     places = result.lla if len(result) or known is None else known.lla
     if len(places):
         frame = TangentFrame.at(Origin(*places[0].tolist()))
@@ -33,7 +33,7 @@ def plot_result(result: Result) -> Figure:
             columns = (known.t_us, known.lla, known.v_l, euler)
             _draw((track, altitude, speed, attitude), frame, columns, known.source, "black")
         columns = (result.t_us, result.lla, result.v, result.euler)
-        name = str(result.summary["filter"])
+        name = result.filter
         _draw((track, altitude, speed, attitude), frame, columns, name, "tab:blue")
         track.legend()
     track.set(xlabel="east, m", ylabel="north, m", title="track")

@@ -2,41 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any
 
 import numpy as np
 
 from mavins import __version__
 from mavins.config import Config
-from mavins.estimates import Decisions, Estimates, Result
+from mavins.estimates import Estimates, Result, by_aiding
 from mavins.estimator.estimator import Estimator, Outputs
 from mavins.estimator.feed import Feed
 from mavins.estimator.fusion import Event
 from mavins.estimator.history import History
 from mavins.estimator.smoothing import smooth as smooth_back
-from mavins.evaluation.errors import ErrorSums
+from mavins.evaluation.errors import Errors
+from mavins.evaluation.witness import Witness
 from mavins.filters.base import RowBlock
-from mavins.logs.truth import Truth
+from mavins.logs.truth import judge_of
 from mavins.nav.earth import TangentFrame
 from mavins.nav.layout import Layout
-from mavins.results import BIAS_SIGMAS, further, table_of
-from mavins.sources import Log, Source, judge_of, open_log
+from mavins.results import Decisions, ResultWriter, table_of, width
+from mavins.sources import Log, Source, open_log
 from mavins.types import FloatArray, IntArray
-
-_JUDGED_TOGETHER: Final = 4096
-"""Rows that are held against a truth at once."""
-
-
-class Sink(Protocol):
-    """Takes what a run says while it runs (results.ResultWriter writes it)."""
-
-    def write_table(self, t_us: IntArray, table: FloatArray) -> None:
-        """Estimates (N, 37 + k) as `results.table_of` makes them."""
-
-    def write_decision(self, event: Event) -> None:
-        """The final decision on a measurement."""
 
 
 def grid_us(rate: float) -> int:
@@ -62,7 +50,7 @@ def run(
     """
     opened = log if isinstance(log, Log) else open_log(log)
     source = opened.source(config or Config())
-    return run_source(source, opened.path, start, end, rate, smooth, (), progress)
+    return run_source(source, opened.path, start, end, rate, smooth, progress)
 
 
 def run_source(
@@ -72,105 +60,76 @@ def run_source(
     end: float | None,
     rate: float,
     smooth: bool,
-    sinks: Sequence[Sink],
     progress: Callable[[float], None],
+    writer: ResultWriter | None = None,
     before: Callable[[Estimator], Feed] = lambda estimator: estimator,
-    keep: bool = True,
 ) -> Result:
-    """`run` for a source that was opened from `path`; what lies within the bounds goes to the sinks as it comes.
+    """`run` for a source that was opened from `path`; what is kept goes to the writer.
 
-    `before` puts what looks on between the source and the estimator. Without `keep` the result has its summary, but
-    neither estimates nor innovations: those of hours are larger than the log.
+    `before` puts what looks on between the source and the estimator.
     """
     config = source.config
     bounds = (round((start or 0.0) * 1e6), 2**62 if end is None else round(end * 1e6))
-    judges = {"reference": source.reference, "truth": source.truth}
-    known = {key: judge for key, judge in judges.items() if judge is not None and len(judge) > 1}
-    recorder = _Recorder(config.states.layout(), bounds, sinks, known, keep)
+    recorder = _Recorder(config.states.layout(), bounds, writer)
     history = History() if smooth else None
     outputs = Outputs(grid_us(rate), recorder.take_rows, recorder.take_decision, history)
     estimator = Estimator(config, config.filter, outputs)
-    source.feed(before(estimator), progress)
+    witness = Witness(before(estimator))
+    source.feed(witness, progress)
     estimator.finish()
+    if writer is not None:
+        writer.write_decisions(recorder.decisions)
     estimates = recorder.estimates()
+    evidence = witness.evidence(source.truth, source.reference)
     summary: dict[str, Any] = {"mavins": __version__, "log": str(path)}
     summary |= {"filter": config.filter, **source.summary(estimator)}
-    judge = judge_of(source)
-    for key, sums in recorder.errors().items() if recorder.rows else ():
-        summary[key] = {"source": known[key].source, **sums.summary()}
-    errors = estimates.against(judge) if judge is not None and len(estimates) else None
+    errors: Errors | None = None
+    for key, known in (("reference", source.reference), ("truth", source.truth)):
+        if known is not None and len(known) > 1 and len(estimates):
+            errors = estimates.against(known)
+            summary[key] = {"source": known.source, **errors.summary()}
     smoothed = None if history is None else _smoothed(estimator, history, bounds)
-    if smoothed is not None and judge is not None and len(smoothed):
+    judge = judge_of(source.truth, source.reference)
+    if smoothed is not None and len(smoothed) and judge is not None and len(estimates):
         summary["smoothed"] = smoothed.against(judge).summary()
-    summary |= {"log_s": source.seconds, "rows": recorder.rows, "damage": source.damage}
+    summary |= {"log_s": source.seconds, "rows": len(estimates), "damage": source.damage}
     return Result(
         estimates.t_us,
         estimates.table,
-        estimates.further,
+        estimates.layout,
         config,
-        recorder.decisions.by_aiding(),
-        source.truth,
-        source.reference,
-        errors,
+        by_aiding(recorder.decisions.arrays()),
+        evidence,
+        errors or None,
         smoothed,
         summary,
     )
 
 
 class _Recorder:
-    """Hands on what lies within bounds, judges it, and keeps it if it is to be kept."""
+    """Keeps what lies within bounds, and hands it on."""
 
     def __init__(
-        self,
-        layout: Layout,
-        bounds: tuple[int, int],
-        sinks: Sequence[Sink],
-        judges: Mapping[str, Truth],
-        keep: bool,
+        self, layout: Layout, bounds: tuple[int, int], writer: ResultWriter | None
     ) -> None:
-        self._layout, self._bounds, self._sinks = layout, bounds, sinks
-        self._judges, self._keep = judges, keep
+        self._layout, self._bounds, self._writer = layout, bounds, writer
         self._tables: list[tuple[IntArray, FloatArray]] = []
-        self._unjudged: list[tuple[IntArray, FloatArray]] = []
-        self._errors = {name: ErrorSums() for name in judges}
-        self.rows = 0
         self.decisions = Decisions()
 
     def take_rows(self, block: RowBlock, frame: TangentFrame) -> None:
         t_us, table = _within(self._bounds, block, frame, self._layout)
         if not len(t_us):
             return
-        self.rows += len(t_us)
-        if self._keep:
-            self._tables.append((t_us, table))
-        self._unjudged.append((t_us, table))
-        if sum(len(t) for t, _ in self._unjudged) >= _JUDGED_TOGETHER:
-            self._judge()
-        for sink in self._sinks:
-            sink.write_table(t_us, table)
+        self._tables.append((t_us, table))
+        if self._writer is not None:
+            self._writer.write_table(t_us, table)
 
     def take_decision(self, event: Event) -> None:
-        if not self._bounds[0] <= event.measurement.t_us <= self._bounds[1]:
-            return
-        if self._keep:
+        if self._bounds[0] <= event.measurement.t_us <= self._bounds[1]:
             self.decisions.keep(event)
-        for sink in self._sinks:
-            sink.write_decision(event)
 
     def estimates(self) -> Estimates:
         return _joined(self._tables, self._layout)
-
-    def errors(self) -> dict[str, ErrorSums]:
-        """Of all rows, by judge."""
-        self._judge()
-        return self._errors
-
-    def _judge(self) -> None:
-        estimates = _joined(self._unjudged, self._layout)
-        self._unjudged.clear()
-        for name, judge in self._judges.items():
-            if len(estimates):
-                self._errors[name].add(estimates.against(judge))
 
 
 def _within(
@@ -190,10 +149,6 @@ def _smoothed(estimator: Estimator, history: History, bounds: tuple[int, int]) -
 
 
 def _joined(tables: Sequence[tuple[IntArray, FloatArray]], layout: Layout) -> Estimates:
-    places = further(layout)
-    width = max((sigmas.stop for _, sigmas in places.values()), default=BIAS_SIGMAS.stop)
-    if len(tables) == 1:
-        return Estimates(*tables[0], places)
     t_us = np.concatenate([np.empty(0, dtype=np.int64), *(t for t, _ in tables)])
-    table = np.concatenate([np.empty((0, width)), *(table for _, table in tables)])
-    return Estimates(t_us, table, places)
+    nothing = np.empty((0, width(layout)))
+    return Estimates(t_us, np.concatenate([nothing, *(table for _, table in tables)]), layout)

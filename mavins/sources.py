@@ -18,7 +18,7 @@ from mavins.evaluation.tape import Tape
 from mavins.logs.content import kind_of
 from mavins.logs.feeding import feed_log, settled
 from mavins.logs.sensor_log import DEFAULT, Choice, SensorLog
-from mavins.logs.truth import Truth
+from mavins.logs.truth import Truth, judge_of
 from mavins.mavlink.identity import identity_for
 from mavins.mavlink.peers import Identity
 from mavins.outcome import outcome_of
@@ -149,14 +149,6 @@ def read_sensors(log: Path, kind: str, choice: Choice = DEFAULT) -> SensorLog:
     return reader(log, choice)
 
 
-def judge_of(source: Source) -> Truth | None:
-    """What estimates are measured against: the truth, or for want of one the log's own filter."""
-    for judge in (source.truth, source.reference):
-        if judge is not None and len(judge) > 1:
-            return judge
-    return None
-
-
 def tape_of(
     log: Path,
     config: Config,
@@ -168,7 +160,7 @@ def tape_of(
     source = source_of(log, config, sysid, choice)
     tape = Tape(source.config)
     source.feed(tape, progress)
-    return tape, judge_of(source)
+    return tape, judge_of(source.truth, source.reference)
 
 
 def imu_of(log: Path, config: Config, sysid: int | None = None) -> ImuTable:

@@ -71,3 +71,10 @@ def csv_lines(t_us: IntArray, rows: FloatArray, decimals: IntArray) -> bytes:
     out: NDArray[Any] = np.empty((len(t_us), (rows.shape[1] + 1) * WIDEST), dtype=np.uint8)
     flat = out.reshape(-1)
     return flat[: _put_rows(t_us, rows, decimals, flat)].tobytes()
+
+
+def rounded(values: FloatArray, decimals: int) -> FloatArray:
+    """The numbers (N,) that `csv_lines` writes with so many decimals; nan for an empty field."""
+    unit = 10.0**decimals
+    scaled = np.floor(abs(values) * unit + 0.5)
+    return np.where(scaled < _LARGEST, np.copysign(scaled, values) / unit + 0.0, np.nan)

@@ -11,9 +11,11 @@ from typing import Final
 
 import numpy as np
 
-from mavins.aiding import gnss_position
+from mavins.aiding import Measurement, gnss_position, gnss_velocity, heading, zero_velocity
+from mavins.aiding.many import linearize
 from mavins.config import Config
 from mavins.estimator.estimator import Estimator, Outputs
+from mavins.estimator.passage import Rows, passage_of
 from mavins.estimator.solution import WIDTH, describe
 from mavins.estimator.vibration import Vibration
 from mavins.evaluation.errors import errors_against
@@ -39,7 +41,7 @@ from mavins.nav.kernels import CACHE, compiles, is_cached, mark_cached
 from mavins.nav.layout import X_SIZE
 from mavins.nav.so3 import euler_to_quat
 from mavins.table_text import csv_lines
-from mavins.types import GnssFix, ImuSample, Origin, TruthSample
+from mavins.types import GnssFix, HeadingFix, ImuSample, ImuTable, Origin, TruthSample
 
 _STEP_US = 50_000
 _LAT, _LON, _ALT = math.radians(47.0), math.radians(8.0), 400.0
@@ -97,20 +99,57 @@ def _standing(filter_name: str) -> tuple[Filter, FilterState, TangentFrame]:
     return algorithm, state, TangentFrame.at(Origin(_LAT, _LON, _ALT))
 
 
+def _models(filter_name: str, report: Report) -> None:
+    """What measurements say of a state."""
+    report("  aidings")
+    _, state, _ = _standing(filter_name)
+    linearize(zero_velocity.RANK, state.x, state.u, np.zeros(3), np.empty(0))
+
+
+def _gnss(filter_name: str, report: Report) -> None:
+    """The larger of them."""
+    report("  GNSS")
+    _, state, frame_n = _standing(filter_name)
+    velocity = gnss_velocity.measure(_fix(0), 0, frame_n, 1.0, 5.0)
+    assert velocity is not None
+    velocity.linearize(state.x, state.u)
+    _position(frame_n).linearize(state.x, state.u)
+    heading.measure(HeadingFix(0, 0.0), 0, frame_n, 1.0, 5.0).linearize(state.x, state.u)
+
+
+def _position(frame_n: TangentFrame) -> Measurement:
+    return gnss_position.measure(_fix(0), 0, frame_n, 1.0, 1.0, 5.0)
+
+
 def _walk(filter_name: str, report: Report) -> None:
-    """A step of the filter: its largest kernel."""
+    """A way through IMU samples: the filter's largest kernel."""
     report(f"  steps of {filter_name}")
     algorithm, state, frame_n = _standing(filter_name)
-    imu, rows = np.tile(state.u, (1, 1)), RowBlock.empty(1)
-    algorithm.walk(state, frame_n, np.array([_STEP_US]), imu, _STEP_US, 0, 0, rows)
+    imu, out = np.tile(state.u, (1, 1)), RowBlock.empty(1, algorithm.layout.size)
+    rows = Rows(np.array([_STEP_US]), imu, 0, _STEP_US, 0, out)
+    passage_of(algorithm).go(state, frame_n, rows, (), 0)
 
 
 def _update(filter_name: str, report: Report) -> None:
     """A measurement into the filter."""
     report(f"  updates of {filter_name}")
     algorithm, state, frame_n = _standing(filter_name)
-    fix = GnssFix(0, _LAT, _LON, _ALT, None, 3)
-    algorithm.update(state, gnss_position.measure(fix, 0, frame_n, 1.0, 1.0, 5.0), 30.0)
+    algorithm.update(state, _position(frame_n), 30.0)
+
+
+def _estimate(filter_name: str, report: Report) -> None:
+    """Four seconds of a standing vehicle into an estimator, without packets."""
+    report("  estimator")
+    estimator = Estimator(Config(), filter_name)
+    for k in range(80):
+        sample = _sample(1_000_000 + _STEP_US * k)
+        table = ImuTable(np.array([sample.t_us]), sample.accel_b[None], sample.gyro_b[None])
+        estimator.feed_imu(table)
+        if k % 4 == 0:
+            estimator.feed_gnss(_fix(sample.t_us))
+        if k % 2 == 0:
+            estimator.feed_heading(HeadingFix(sample.t_us, 0.3))
+    estimator.finish()
 
 
 def _describe(block: RowBlock, frame_n: TangentFrame) -> None:
@@ -136,7 +175,7 @@ def _fly(filter_name: str, report: Report) -> None:
         if k % 20 == 0:
             payloads.append(heartbeat(2, 0))
         if k % 4 == 0:
-            fix = GnssFix(t_us - 23_000, _LAT, _LON, _ALT, (0.0, 0.0, 0.0), 3, 12, 0.5, 0.5, 0.1)
+            fix = _fix(t_us - 23_000)
             payloads.append(gps_raw_int(fix))
             payloads.append(
                 global_position_int(fix.t_us, _LAT, _LON, _ALT, 0.0, (0.0, 0.0, 0.0), None)
@@ -189,13 +228,20 @@ def _results(filter_name: str, report: Report) -> None:
     errors_against(np.zeros(1, dtype=np.int64), one, one, one, truth_table)
 
 
+def _fix(t_us: int) -> GnssFix:
+    return GnssFix(t_us, _LAT, _LON, _ALT, (0.0, 0.0, 0.0), 3, 12, 0.5, 0.5, 0.1)
+
+
 def _sample(t_us: int) -> ImuSample:
     return ImuSample(t_us, np.array([0.0, 0.0, -9.81]), np.zeros(3))
 
 
 STAGES: Final[dict[str, Callable[[str, Report], None]]] = {
-    "walk": _walk,
+    "gnss": _gnss,
+    "aidings": _models,
     "update": _update,
+    "walk": _walk,
+    "estimator": _estimate,
     "results": _results,
     "flight": _fly,
 }

@@ -13,14 +13,19 @@ import pytest
 SHARED = Path(os.environ.get("MAVINS_SHARED") or Path(__file__).resolve().parents[2] / "shared")
 """The folder of recordings and data beside the repository, or wherever MAVINS_SHARED says."""
 
+REQUIRED = os.environ.get("MAVINS_REQUIRE_SHARED") == "1"
+
 # Without the compiler everything is a hundred times slower: a few examples then show that it runs at all.
-hypothesis.settings.register_profile("compiled", max_examples=200, deadline=None)
-hypothesis.settings.register_profile("interpreted", max_examples=8, deadline=None)
+# CI draws the same examples each time; whoever develops draws others, and adds what they find as a test.
+hypothesis.settings.register_profile(
+    "compiled", max_examples=200, deadline=None, derandomize=REQUIRED
+)
+hypothesis.settings.register_profile(
+    "interpreted", max_examples=8, deadline=None, derandomize=REQUIRED
+)
 hypothesis.settings.load_profile(
     "interpreted" if os.environ.get("NUMBA_DISABLE_JIT") == "1" else "compiled"
 )
-
-REQUIRED = os.environ.get("MAVINS_REQUIRE_SHARED") == "1"
 
 _WANTING = ("shared", "client", "mavsdk", "chromium")
 """Words in the reason of a skip that tell that something from outside the repository is missing."""

@@ -2,9 +2,9 @@
 
     h = C_nb^T m_n + b_m,   H_theta = [C_nb^T m_n]x,   H_b = I
 
-Of a direction z, whose strength is not known, what it says is compared at the strength that the state expects:
+Of a direction z, whose strength is not known:
 
-    r = |h| z - h,   H_theta and H_b as above times I - z h^T/|h|
+    r = z - h/|h|,   H_theta and H_b as above times (I - h h^T/|h|^2)/|h|
 
 Source: Sola (2017), section 4 (the right Jacobian of a rotated vector). Theory: docs/theory/magnetometer.md.
 """
@@ -47,11 +47,13 @@ def model(
     if len(parameters) == 3:
         return z - h, H
     strength = math.sqrt(h[0] * h[0] + h[1] * h[1] + h[2] * h[2])
+    # nothing of z is in H: its noise would meet itself in the residual, and push the field's strength one way
+    d = h / strength
     for j in range(6, 23):
-        along = (h[0] * H[0, j] + h[1] * H[1, j] + h[2] * H[2, j]) / strength
+        along = d[0] * H[0, j] + d[1] * H[1, j] + d[2] * H[2, j]
         for i in range(3):
-            H[i, j] -= along * z[i]
-    return strength * z - h, H
+            H[i, j] = (H[i, j] - along * d[i]) / strength
+    return z - d, H
 
 
 def measure(

@@ -109,20 +109,20 @@ def varied(
     scenario: Scenario, config: Config, values: Mapping[str, Any]
 ) -> tuple[Scenario, Config]:
     """Scenario and configuration with other values at dotted paths; ConfigError where one is not allowed."""
-    trees = {
-        "scenario": json.loads(json.dumps(dataclasses.asdict(scenario))),
-        "config": yaml_text.parse(to_yaml(config, commented=False)),
-    }
     roots = {name.partition(".")[0] for name in values}
+    trees: dict[str, Any] = {}
+    if "scenario" in roots:
+        trees["scenario"] = json.loads(json.dumps(dataclasses.asdict(scenario)))
+    if "config" in roots:
+        trees["config"] = yaml_text.parse(to_yaml(config, commented=False))
     for name, value in values.items():
         _put(trees, name, value)
     try:
-        return (
-            scenarios.parse(trees["scenario"]) if "scenario" in roots else scenario,
-            typed_settings.build(Config, trees["config"], "config")
-            if "config" in roots
-            else config,
-        )
+        if "scenario" in roots:
+            scenario = scenarios.parse(trees["scenario"])
+        if "config" in roots:
+            config = typed_settings.build(Config, trees["config"], "config")
+        return scenario, config
     except (ConfigError, ScenarioError) as error:
         shown = ", ".join(f"{name} = {value}" for name, value in values.items())
         raise ConfigError(f"--vary drew {shown}: {error}") from None

@@ -28,6 +28,8 @@ ROUNDS: Final = 3
 """How often a job is tried whose worker dies; in the last round each has a worker to itself."""
 PATIENCE_S: Final = 10.0
 """How long a worker may take to tidy up."""
+ANSWER_S: Final = 10.0
+"""How long a Dask scheduler may take to answer."""
 LOST: Final = f"its worker was killed {ROUNDS} times (out of memory?)"
 
 
@@ -160,7 +162,7 @@ def _on_cluster(
     import distributed
 
     try:
-        client = distributed.Client(scheduler, timeout=10, set_as_default=False)
+        client = distributed.Client(scheduler, timeout=ANSWER_S, set_as_default=False)
     except (OSError, ValueError) as error:
         reason = " ".join(str(error).split())
         raise ConfigError(f"--scheduler {scheduler}: no Dask scheduler there ({reason})") from None

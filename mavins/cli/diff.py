@@ -59,8 +59,8 @@ def run(args: argparse.Namespace) -> int:
     a, b = read_result(args.a, names[0]), read_result(args.b, names[1])
     found = difference(a, b)
     if args.verbosity >= 0:
-        print(f"A: {args.a} ({a.filter}), {len(a.estimates)} rows")
-        print(f"B: {args.b} ({b.filter}), {len(b.estimates)} rows")
+        print(f"A: {args.a} ({a.filter}), {len(a)} rows")
+        print(f"B: {args.b} ({b.filter}), {len(b)} rows")
         print("\n".join(lines_of(found)))
     if args.tolerance is None or found.is_within(args.tolerance):
         return 0

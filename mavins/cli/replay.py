@@ -17,7 +17,7 @@ from mavins.errors import ConfigError
 
 if TYPE_CHECKING:
     from mavins.config import Config
-    from mavins.evaluation.result_folder import Result
+    from mavins.estimates import Result
     from mavins.replay import ReplayOptions
 
 SUMMARY = """\
@@ -130,15 +130,15 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _report(out: Path, result: Result) -> None:
-    """Write the report into the folder that is to take the place of `out`.
+def _report(out: Path, result: Result, aside: Path) -> None:
+    """Write the report into `aside`, which is to take the place of `out`.
 
     Without the extra, say how to get it: the results are whole without it.
     """
     try:
         from mavins.report import write_report_of
 
-        write_report_of(result)
+        write_report_of(result, aside)
     except ModuleNotFoundError as error:
         if error.name is None or error.name.partition(".")[0] != "plotly":
             raise

@@ -277,13 +277,14 @@ def pass_rows(
                 places[visits, 0], places[visits, 1] = t, e
                 _keep(x, u, P, visited[visits])
                 visits += 1
-            if t_us[k] > target:
-                reading = reading_at(u, imu[k], (target - t) / (t_us[k] - t))
-                step(x, P, u, reading, target - t, noise, r0_e, C_ne, w_ie_n, work)
-                t = target
+            # one call of `step`, for each is compiled into this kernel
+            to, reading = t_us[k], imu[k]
+            if to > target:
+                to, reading = target, reading_at(u, imu[k], (target - t) / (t_us[k] - t))
+            step(x, P, u, reading, to - t, noise, r0_e, C_ne, w_ie_n, work)
+            t = to
+            if t < t_us[k]:
                 break
-            step(x, P, u, imu[k], t_us[k] - t, noise, r0_e, C_ne, w_ie_n, work)
-            t = t_us[k]
             k += 1
             if is_due(t, before, grid_us):
                 put_row(out_t, out_x, out_u, out_P, count, t, x, u, P)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 import numpy as np
 
 from mavins.errors import LogFormatError
-from mavins.evaluation.result_folder import Estimates, Result
+from mavins.estimates import Result
 from mavins.nav.earth import TangentFrame
 from mavins.nav.so3 import wrap_pi
 from mavins.types import FloatArray, IntArray, Origin
@@ -17,32 +17,28 @@ from mavins.types import FloatArray, IntArray, Origin
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """What is compared: its columns, their sigmas' columns, and the unit it is shown in."""
+    """What is compared: its state, the columns of that, and the unit it is shown in."""
 
     name: str
+    state: str
     columns: tuple[str, ...]
     unit: str
     scale: float = 1.0
     is_angle: bool = False
 
-    @property
-    def sigmas(self) -> tuple[str, ...]:
-        """The columns of the sigmas."""
-        return tuple(f"sd_{column}" for column in self.columns)
-
 
 _DEGREES: Final = 180.0 / np.pi
 QUANTITIES: Final = (
-    Quantity("position", ("p_n", "p_e", "p_d"), "m"),
-    Quantity("velocity", ("v_n", "v_e", "v_d"), "m/s"),
-    Quantity("attitude", ("roll", "pitch", "yaw"), "deg", _DEGREES, is_angle=True),
-    Quantity("gyro bias", ("b_g_x", "b_g_y", "b_g_z"), "deg/s", _DEGREES),
-    Quantity("accelerometer bias", ("b_a_x", "b_a_y", "b_a_z"), "m/s²"),
-    Quantity("lever arm", ("l_b_x", "l_b_y", "l_b_z"), "m"),
-    Quantity("delay", ("tau",), "s"),
-    Quantity("barometer bias", ("b_baro",), "m"),
-    Quantity("magnetometer bias", ("b_m_x", "b_m_y", "b_m_z"), "of the field"),
-    Quantity("gravity", ("g_n", "g_e"), "deg", _DEGREES),
+    Quantity("position", "p_n", ("p_n", "p_e", "p_d"), "m"),
+    Quantity("velocity", "v", ("v_n", "v_e", "v_d"), "m/s"),
+    Quantity("attitude", "euler", ("roll", "pitch", "yaw"), "deg", _DEGREES, is_angle=True),
+    Quantity("gyro bias", "b_g", ("b_g_x", "b_g_y", "b_g_z"), "deg/s", _DEGREES),
+    Quantity("accelerometer bias", "b_a", ("b_a_x", "b_a_y", "b_a_z"), "m/s²"),
+    Quantity("lever arm", "l_b", ("l_b_x", "l_b_y", "l_b_z"), "m"),
+    Quantity("delay", "tau", ("tau",), "s"),
+    Quantity("barometer bias", "b_baro", ("b_baro",), "m"),
+    Quantity("magnetometer bias", "b_m", ("b_m_x", "b_m_y", "b_m_z"), "of the field"),
+    Quantity("gravity", "g_n", ("g_n", "g_e"), "deg", _DEGREES),
 )
 
 
@@ -97,15 +93,15 @@ class Difference:
 def difference(a: Result, b: Result) -> Difference:
     """B minus A. Raises LogFormatError where no instant is in both."""
     # a reboot starts the stamps anew: the first row of each
-    common, at_a, at_b = np.intersect1d(a.estimates.t_us, b.estimates.t_us, return_indices=True)
+    common, at_a, at_b = np.intersect1d(a.t_us, b.t_us, return_indices=True)
     if not len(common):
         raise LogFormatError(
-            f"{a.folder} and {b.folder} have no instant in common: are they of one log, at one --rate?"
+            "A and B have no instant in common: are they of one log, at one --rate?"
         )
     return Difference(
         len(common),
-        len(a.estimates) - len(common),
-        len(b.estimates) - len(common),
+        len(a) - len(common),
+        len(b) - len(common),
         tuple(_moved(a, b, at_a, at_b)),
         _decisions(a, b),
         _differing(_flat(asdict(a.config)), _flat(asdict(b.config))),
@@ -114,18 +110,17 @@ def difference(a: Result, b: Result) -> Difference:
 
 
 def _moved(a: Result, b: Result, at_a: IntArray, at_b: IntArray) -> Iterator[Moved]:
-    seconds = a.estimates.t_s[at_a]
+    seconds = a.seconds[at_a]
     for quantity in QUANTITIES:
-        if not all(c in a.estimates and c in b.estimates for c in quantity.columns):
+        if not (a.has(quantity.state) and b.has(quantity.state)):
             continue
-        values_b = b.estimates.stack(*quantity.columns)[at_b]
-        if quantity.name == "position":
+        values_a, sigmas_a = (part[at_a] for part in a.state(quantity.state))
+        values_b, sigmas_b = (part[at_b] for part in b.state(quantity.state))
+        if quantity.state == "p_n":
             values_b = _in_frame_of(a, b, values_b, at_b)
-        delta = values_b - a.estimates.stack(*quantity.columns)[at_a]
+        delta = values_b - values_a
         if quantity.is_angle:
             delta = np.vectorize(wrap_pi)(delta)
-        sigmas_a = _sigmas(a.estimates, quantity)[at_a]
-        sigmas_b = _sigmas(b.estimates, quantity)[at_b]
         for k, column in enumerate(quantity.columns):
             yield _component(quantity, column, seconds, delta[:, k], sigmas_a[:, k], sigmas_b[:, k])
 
@@ -163,13 +158,6 @@ def _rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")
 
 
-def _sigmas(estimates: Estimates, quantity: Quantity) -> FloatArray:
-    """The sigmas (N, m) of a quantity; nan where the file has none."""
-    if all(column in estimates for column in quantity.sigmas):
-        return estimates.stack(*quantity.sigmas)
-    return np.full((len(estimates), len(quantity.columns)), np.nan)
-
-
 def _in_frame_of(a: Result, b: Result, p_n: FloatArray, at_b: IntArray) -> FloatArray:
     """Positions of B in the frame n of A."""
     origin = a.summary.get("origin")
@@ -177,7 +165,7 @@ def _in_frame_of(a: Result, b: Result, p_n: FloatArray, at_b: IntArray) -> Float
         return p_n
     lat, lon = np.radians([origin["lat_deg"], origin["lon_deg"]]).tolist()
     frame = TangentFrame.at(Origin(lat, lon, origin["alt_m"]))
-    return np.array([frame.from_lla(*row) for row in b.estimates.lla[at_b].tolist()])
+    return np.array([frame.from_lla(*row) for row in b.lla[at_b].tolist()])
 
 
 def _decisions(a: Result, b: Result) -> dict[str, tuple[tuple[int, int], tuple[int, int]]]:
@@ -193,7 +181,7 @@ def _counts(result: Result, aiding: str) -> tuple[int, int]:
     return accepted, len(found) - accepted
 
 
-def _figures(summary: dict[str, Any]) -> dict[str, Any]:
+def _figures(summary: Mapping[str, Any]) -> dict[str, Any]:
     """What summary.json tells of the estimate; not of the machine that it was made on."""
     kept = ("mavins", "filter", "imu_samples", "health", "reason", "resets", "realignments", "rows")
     judged = {
@@ -202,7 +190,7 @@ def _figures(summary: dict[str, Any]) -> dict[str, Any]:
     return _flat({key: summary.get(key) for key in kept} | judged)
 
 
-def _has(summary: dict[str, Any], key: str) -> bool:
+def _has(summary: Mapping[str, Any], key: str) -> bool:
     return isinstance(summary.get(key), dict) and "rms" in summary[key]
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -11,8 +11,6 @@ from mavins.nav.earth import dcm_ne, lla_to_ecef
 from mavins.nav.kernels import kernel
 from mavins.nav.so3 import quat_to_euler, wrap_pi
 from mavins.types import FloatArray, IntArray
-
-_SHOWN: Final = ("pos_m", "vel_m_s", "att_deg")
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,44 +22,21 @@ class Errors:
     vel: FloatArray
     att: FloatArray
 
-    def shown(self) -> dict[str, FloatArray]:
-        """The columns (N, 3) as they are told to people: attitude in degrees."""
-        columns = (self.pos, self.vel, np.degrees(self.att))
-        return dict(zip(_SHOWN, columns, strict=True))
-
-    def summary(self) -> dict[str, Any]:
-        """RMS and maximum per axis."""
-        sums = ErrorSums()
-        sums.add(self)
-        return sums.summary()
-
-
-class ErrorSums:
-    """`Errors.summary` of errors that come block by block and are not kept."""
-
-    def __init__(self) -> None:
-        self._instants = 0
-        self._counts = dict.fromkeys(_SHOWN, 0)
-        self._squares = {name: np.zeros(3) for name in _SHOWN}
-        self._largest = {name: np.zeros(3) for name in _SHOWN}
-
-    def add(self, errors: Errors) -> None:
-        """Count a block."""
-        self._instants += len(errors.t_us)
-        for name, column in errors.shown().items():
-            known = column[np.isfinite(column).all(axis=1)]
-            if len(known):
-                self._counts[name] += len(known)
-                self._squares[name] += np.sum(known**2, axis=0)
-                self._largest[name] = np.maximum(self._largest[name], np.max(abs(known), axis=0))
+    def __len__(self) -> int:
+        return len(self.t_us)
 
     def summary(self) -> dict[str, Any]:
         """RMS and maximum per axis; attitude in degrees. Instants without a truth are nan, and not counted."""
-        result: dict[str, Any] = {"instants": self._instants}
-        known = {name: count for name, count in self._counts.items() if count}
-        if known:
-            result["rms"] = {k: np.sqrt(self._squares[k] / n).tolist() for k, n in known.items()}
-            result["max"] = {k: self._largest[k].tolist() for k in known}
+        result: dict[str, Any] = {"instants": len(self.t_us)}
+        columns = {"pos_m": self.pos, "vel_m_s": self.vel, "att_deg": np.degrees(self.att)}
+        known = {k: v[np.isfinite(v).all(axis=1)] for k, v in columns.items()}
+        if any(len(v) for v in known.values()):
+            result["rms"] = {
+                k: np.sqrt(np.mean(v**2, axis=0)).tolist() for k, v in known.items() if len(v)
+            }
+            result["max"] = {
+                k: np.max(np.abs(v), axis=0).tolist() for k, v in known.items() if len(v)
+            }
         return result
 
 

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import io
 import zipfile
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavins.errors import LogFormatError, OutputError
 from mavins.evaluation.spectrum import Spectrum
@@ -56,9 +55,9 @@ class ImuSeconds:
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """What an estimator was fed, as far as a report shows it. `yaw` are headings in rad; baro and mag only stamps.
+    """What an estimator was fed, as far as a report shows it, and what to judge it by.
 
-    `bias_sigmas` (N, 6) are 1-sigma of b_g in rad/s and b_a in m/s^2 at the N estimates, which estimates.csv lacks.
+    `yaw` are headings in rad; of baro and mag only the stamps.
     """
 
     gnss: Gnss
@@ -70,7 +69,6 @@ class Evidence:
     baro_us: IntArray
     truth: Truth | None = None
     reference: Truth | None = None
-    bias_sigmas: FloatArray | NDArray[np.float32] = field(default_factory=lambda: np.empty((0, 6)))
 
 
 def thinned(truth: Truth | None) -> Truth | None:
@@ -82,20 +80,23 @@ def thinned(truth: Truth | None) -> Truth | None:
     return Truth(truth.t_us[kept], truth.lla[kept], truth.v_l[kept], truth.q_lb[kept], truth.source)
 
 
-def write_evidence(path: Path, evidence: Evidence) -> None:
-    """Write the file, aside and then renamed into place. Raises OutputError."""
+def write_evidence(path: Path, evidence: Evidence, bias_sigmas: FloatArray) -> None:
+    """Write the file, aside and then renamed into place, with thinned truths. Raises OutputError.
+
+    `bias_sigmas` (N, 6) are 1-sigma of b_g in rad/s and b_a in m/s^2 at the N estimates, which estimates.csv lacks.
+    """
     arrays: dict[str, Any] = {
         "heading_us": evidence.heading_us,
         "yaw": evidence.yaw,
         "mag_us": evidence.mag_us,
         "baro_us": evidence.baro_us,
-        "bias_sigmas": evidence.bias_sigmas.astype(np.float32, copy=False),
+        "bias_sigmas": bias_sigmas.astype(np.float32),
     }
     arrays |= _flat("gnss", evidence.gnss) | _flat("imu", evidence.imu)
     if evidence.spectrum is not None:
         arrays |= _flat("spectrum", evidence.spectrum)
     for name in _TRUTHS:
-        truth: Truth | None = getattr(evidence, name)
+        truth = thinned(getattr(evidence, name))
         if truth is not None:
             arrays |= {f"{name}.{part}": getattr(truth, part) for part in _PARTS}
             arrays[f"{name}.source"] = np.array(truth.source)
@@ -108,8 +109,8 @@ def write_evidence(path: Path, evidence: Evidence) -> None:
         raise OutputError(f"cannot write {path}: {error.strerror}") from error
 
 
-def read_evidence(path: Path) -> Evidence | None:
-    """Read the file; None where there is none. Raises LogFormatError for a damaged one."""
+def read_evidence(path: Path) -> tuple[Evidence, FloatArray] | None:
+    """Read the file, evidence and sigmas; None where there is none. Raises LogFormatError for a damaged one."""
     if not path.exists():
         return None
     try:
@@ -123,7 +124,7 @@ def read_evidence(path: Path) -> Evidence | None:
                 int(arrays["spectrum.segments"]),
                 float(arrays["spectrum.rate"]),
             )
-        return Evidence(
+        evidence = Evidence(
             Gnss(*_parts("gnss", Gnss, arrays)),
             ImuSeconds(*_parts("imu", ImuSeconds, arrays)),
             spectrum,
@@ -133,8 +134,8 @@ def read_evidence(path: Path) -> Evidence | None:
             arrays["baro_us"],
             _truth("truth", arrays),
             _truth("reference", arrays),
-            arrays["bias_sigmas"].astype(np.float64),
         )
+        return evidence, arrays["bias_sigmas"].astype(np.float64)
     except (KeyError, ValueError, EOFError, OSError, zipfile.BadZipFile) as error:
         raise LogFormatError(f"{path} is damaged: {error}") from error
 

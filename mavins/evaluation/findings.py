@@ -13,8 +13,8 @@ from typing import Final, Literal
 
 import numpy as np
 
+from mavins.estimates import Result
 from mavins.evaluation.errors import Errors
-from mavins.evaluation.result_folder import Result
 from mavins.types import FloatArray
 
 Level = Literal["wrong", "note", "fine"]
@@ -67,7 +67,7 @@ def an_estimate(result: Result) -> Iterator[Finding]:
     """Is there an estimate, and was there one at the end?"""
     summary = result.summary
     health, reason = summary.get("health", "running"), summary.get("reason", "")
-    if not len(result.estimates):
+    if not len(result):
         yield Finding("wrong", f"There is no estimate: {health}, {reason}.")
     elif health not in ("running", "aligning"):
         level: Level = "wrong" if health == "diverged" else "note"
@@ -95,7 +95,7 @@ def begun_anew(result: Result) -> Iterator[Finding]:
         )
     if summary.get("reboots"):
         yield Finding("note", f"The vehicle rebooted {summary['reboots']} times within the log.")
-    if len(result.estimates) and not (resets or anew or summary.get("reboots")):
+    if len(result) and not (resets or anew or summary.get("reboots")):
         yield Finding("fine", "One estimate from the start to the end, without a reset.")
 
 
@@ -128,15 +128,15 @@ def _compared(
     result: Result, errors: Errors
 ) -> Iterator[tuple[str, tuple[str, ...], FloatArray, FloatArray, float, str]]:
     """Kind, names, errors (K, 3), sigmas (K, 3), and what makes the unit of them."""
-    e, k = result.estimates, result.at(errors.t_us)
+    judged = np.isin(result.t_us, errors.t_us)
     for kind, names, error, sigma, scale, unit in (
-        ("position", NED, errors.pos, e.sd_p, 1.0, "m"),
-        ("velocity", NED, errors.vel, e.sd_v, 1.0, "m/s"),
-        ("attitude", ("roll", "pitch", "yaw"), errors.att, e.sd_euler, 180.0 / math.pi, "deg"),
+        ("position", NED, errors.pos, result.sd_p_n, 1.0, "m"),
+        ("velocity", NED, errors.vel, result.sd_v, 1.0, "m/s"),
+        ("attitude", ("roll", "pitch", "yaw"), errors.att, result.sd_euler, 180.0 / math.pi, "deg"),
     ):
         known = np.isfinite(error).all(axis=1)
         if known.any():
-            yield kind, names, error[known], np.maximum(sigma[k][known], 1e-12), scale, unit
+            yield kind, names, error[known], np.maximum(sigma[judged][known], 1e-12), scale, unit
 
 
 def _judged(kind: str, names: tuple[str, ...], ratio: FloatArray, size: str) -> Finding:
@@ -165,10 +165,9 @@ def _judged(kind: str, names: tuple[str, ...], ratio: FloatArray, size: str) -> 
 
 def yaw(result: Result) -> Iterator[Finding]:
     """Has the yaw been found?"""
-    e = result.estimates
-    if not len(e):
+    if not len(result):
         return
-    sigma = float(np.median(e.columns["sd_yaw"][len(e) // 2 :]))
+    sigma = float(np.median(result.sd_euler[len(result) // 2 :, 2]))
     if sigma > _UNOBSERVABLE:
         yield Finding(
             "wrong",
@@ -186,16 +185,15 @@ def yaw(result: Result) -> Iterator[Finding]:
 
 def biases(result: Result) -> Iterator[Finding]:
     """Are the biases as large as they were expected to be?"""
-    e, imu = result.estimates, result.config.imu
-    if not len(e):
+    if not len(result):
         return
+    imu = result.config.imu
     fine = True
     sensors = (
-        ("gyro", "b_g", imu.gyro_bias_sigma, "rad/s"),
-        ("accel", "b_a", imu.accel_bias_sigma, "m/s^2"),
+        ("gyro", result.b_g[-1], imu.gyro_bias_sigma, "rad/s"),
+        ("accel", result.b_a[-1], imu.accel_bias_sigma, "m/s^2"),
     )
-    for name, column, expected, unit in sensors:
-        values = np.array([e.columns[f"{column}_{axis}"][-1] for axis in AXES])
+    for name, values, expected, unit in sensors:
         i = int(np.argmax(abs(values)))
         ratio = abs(values[i]) / expected
         if ratio > _LONG_BIAS:
@@ -213,11 +211,9 @@ def biases(result: Result) -> Iterator[Finding]:
 
 def lever_arm(result: Result) -> Iterator[Finding]:
     """Where the lever arm is estimated: does the setting agree?"""
-    e = result.estimates
-    if "l_b_x" not in e or not len(e):
+    if not result.has("l_b") or not len(result):
         return
-    found = np.array([e.columns[f"l_b_{axis}"][-1] for axis in AXES])
-    sigma = np.array([e.columns[f"sd_l_b_{axis}"][-1] for axis in AXES])
+    found, sigma = (part[-1] for part in result.state("l_b"))
     apart = abs(found - np.array(result.config.gnss.lever_arm))
     if (apart > np.maximum(3.0 * sigma, 0.1)).any():
         place = ", ".join(f"{v:.2f}" for v in found)

@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 
+from mavins.estimates import Innovations, Result
 from mavins.evaluation.findings import NED, Finding, Rule, listed, times
 from mavins.evaluation.innovation_tests import (
     autocorrelation,
@@ -16,7 +17,6 @@ from mavins.evaluation.innovation_tests import (
     further_delay,
     noise_shown,
 )
-from mavins.evaluation.result_folder import Innovations, Result
 
 FEWEST: Final = 50
 """Measurements of an aiding below which nothing is said of its statistics."""
@@ -61,14 +61,13 @@ def _assumed(result: Result, aiding: str) -> list[float]:
 def delay(result: Result) -> Iterator[Finding]:
     """Is GNSS as old as it was taken for?"""
     velocity = result.innovations.get("gnss_velocity")
-    e = result.estimates
-    if not len(e):
+    if not len(result):
         return
-    if "tau" in e:
+    if result.has("tau"):
         yield from _estimated_delay(result)
     elif velocity is not None and _assumed(result, "gnss_velocity"):
         assumed = np.array(_assumed(result, "gnss_velocity"))
-        more, sigma = further_delay(velocity, e, assumed)
+        more, sigma = further_delay(velocity, result, assumed)
         taken = float(np.median(velocity.stamp_us - velocity.t_us)) * 1e-6
         if not math.isfinite(more) or sigma > _DELAY_S:
             yield Finding("note", "The delay of GNSS does not show: too little acceleration.")
@@ -84,8 +83,8 @@ def delay(result: Result) -> Iterator[Finding]:
 
 
 def _estimated_delay(result: Result) -> Iterator[Finding]:
-    tau, sigma = (float(result.estimates.columns[name][-1]) for name in ("tau", "sd_tau"))
-    first = float(result.estimates.columns["tau"][0])
+    tau, sigma = (float(part[-1, 0]) for part in result.state("tau"))
+    first = float(result.state("tau")[0][0, 0])
     if sigma > max(_DELAY_S, 0.5 * result.config.states.gnss_delay_sigma):
         yield Finding(
             "note",

@@ -7,8 +7,8 @@ from typing import Final
 
 import numpy as np
 
+from mavins.estimates import Result
 from mavins.evaluation.findings import AXES, Finding, Rule, times
-from mavins.evaluation.result_folder import Result
 from mavins.types import IntArray
 
 _NOISE: Final = (0.1, 2.0)

@@ -11,8 +11,8 @@ from typing import Final
 import numpy as np
 from scipy.ndimage import median_filter
 
+from mavins.estimates import Estimates, Innovations
 from mavins.evaluation.consistency import band
-from mavins.evaluation.result_folder import Estimates, Innovations
 from mavins.types import FloatArray, IntArray
 
 _BLOCK_US: Final = 10_000_000
@@ -126,13 +126,13 @@ def _slope(m: Innovations, acceleration: FloatArray, assumed: FloatArray) -> tup
 
 def _acceleration(estimates: Estimates, at_us: IntArray) -> FloatArray:
     """The acceleration (M, 3) at these instants: a median over neighbours, as corrections make the velocity jump."""
-    steps = np.diff(estimates.t_s)
+    steps = np.diff(estimates.seconds)
     usual = float(np.median(steps))
     if usual > _WINDOW_S / 5.0:
         return np.full((len(at_us), 3), np.nan)
-    a = np.diff(estimates.v_l, axis=0) / np.maximum(steps, 1e-6)[:, None]
+    a = np.diff(estimates.v, axis=0) / np.maximum(steps, 1e-6)[:, None]
     a = median_filter(a, size=(2 * round(0.5 * _WINDOW_S / usual) + 1, 1))
-    middle = estimates.t_s[1:] - 0.5 * steps
+    middle = estimates.seconds[1:] - 0.5 * steps
     return np.column_stack([np.interp(at_us * 1e-6, middle, a[:, i]) for i in range(3)])
 
 

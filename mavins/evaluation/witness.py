@@ -13,7 +13,7 @@ import numpy as np
 
 from mavins.estimator.feed import Between, Feed, Relay
 from mavins.estimator.vibration import CLIP
-from mavins.evaluation.evidence import Evidence, Gnss, ImuSeconds, thinned
+from mavins.evaluation.evidence import Evidence, Gnss, ImuSeconds
 from mavins.evaluation.spectrum import Welch
 from mavins.logs.truth import Truth
 from mavins.types import (
@@ -109,8 +109,8 @@ class Witness(Relay):
             headings[:, 1],
             np.array(self._mag, dtype=np.int64),
             np.array(self._baro, dtype=np.int64),
-            thinned(truth),
-            thinned(reference),
+            truth,
+            reference,
         )
 
     def _keep(self, table: ImuTable) -> None:

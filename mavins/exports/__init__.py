@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Final, Protocol, cast
 
 from mavins.errors import ConfigError
-from mavins.evaluation.result_folder import Result
+from mavins.estimates import Result
 from mavins.exports import gpx, kml, mcap, parquet, tum
 
 

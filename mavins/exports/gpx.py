@@ -7,9 +7,9 @@ from typing import Final
 from xml.sax.saxutils import XMLGenerator
 
 from mavins import __version__
-from mavins.evaluation.result_folder import Result
+from mavins.estimates import Result
 from mavins.exports.places import Stretch, tracks, utc_offset_us, utc_texts
-from mavins.exports.xml_text import element, leaf
+from mavins.exports.xml_text import element, leaf, raw
 
 FILES: Final = ("track.gpx",)
 NEEDS: Final = ()
@@ -36,7 +36,6 @@ def _segment(xml: XMLGenerator, part: Stretch, offset_us: int | None) -> None:
     with element(xml, "trkseg"):
         times = utc_texts(part.t_us, offset_us)
         for time, (lat, lon, alt) in zip(times, part.degrees.tolist(), strict=True):
-            with element(xml, "trkpt", lat=f"{lat:.8f}", lon=f"{lon:.8f}"):
-                leaf(xml, "ele", f"{alt:.3f}")
-                if time:
-                    leaf(xml, "time", time)
+            said = f"<time>{time}</time>\n" if time else ""
+            point = f"<ele>{alt:.3f}</ele>\n{said}"
+            raw(xml, f'<trkpt lat="{lat:.8f}" lon="{lon:.8f}">\n{point}</trkpt>\n')

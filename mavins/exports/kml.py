@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Final
 from xml.sax.saxutils import XMLGenerator
 
-from mavins.evaluation.result_folder import Result
+from mavins.estimates import Result
 from mavins.exports.places import Stretch, tracks, utc_offset_us, utc_texts
-from mavins.exports.xml_text import element, leaf
+from mavins.exports.xml_text import element, leaf, raw
 
 FILES: Final = ("track.kml",)
 NEEDS: Final = ()
@@ -56,6 +56,6 @@ def _placemark(xml: XMLGenerator, name: str, part: Stretch, offset_us: int | Non
         with element(xml, "gx:Track"):
             leaf(xml, "altitudeMode", "absolute")
             for time in utc_texts(part.t_us, offset_us):
-                leaf(xml, "when", time)
+                raw(xml, f"<when>{time}</when>\n")
             for lon, lat, alt in places:
-                leaf(xml, "gx:coord", f"{lon:.8f} {lat:.8f} {alt:.3f}")
+                raw(xml, f"<gx:coord>{lon:.8f} {lat:.8f} {alt:.3f}</gx:coord>\n")

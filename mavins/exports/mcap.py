@@ -15,8 +15,8 @@ from typing import Any, BinaryIO, Final
 
 import numpy as np
 
-from mavins.evaluation.result_folder import Estimates, Innovations, Result
-from mavins.exports.places import attitude_in_n, utc_offset_us
+from mavins.estimates import Estimates, Innovations, Result
+from mavins.exports.places import attitude_in_n, in_degrees, utc_offset_us
 from mavins.nav.so3 import quat_to_dcm
 from mavins.types import FloatArray
 
@@ -136,7 +136,7 @@ class _Messages:
 
     def _estimates(self) -> Iterator[_Log]:
         """Every estimate as a pose; some as odometry with sigmas, as a place on Earth, and as a transform."""
-        m, c, context, e = self._messages, self._channels, self._context, self._result.estimates
+        m, c, context, e = self._messages, self._channels, self._context, self._result
         poses = c.PoseInFrameChannel("/estimate/pose", context=context)
         odometry = c.OdometryChannel("/estimate/odometry", context=context)
         locations = c.LocationFixChannel("/estimate/location", context=context)
@@ -145,10 +145,10 @@ class _Messages:
             return
         known = m.LocationFixPositionCovarianceType.DiagonalKnown
         q_nb = attitude_in_n(self._result)
-        p_n, lla = e.stack("p_n", "p_e", "p_d"), e.stack("lat_deg", "lon_deg", "alt_m")
+        p_n, lla = e.p_n, in_degrees(e.lla)
         velocity, velocity_cov = _in_body(e)
-        pose_cov = _diagonal(np.hstack([e.sd_p, e.sd_euler]) ** 2)
-        location_cov = _diagonal(e.sd_p[:, [1, 0, 2]] ** 2)
+        pose_cov = _diagonal(np.hstack([e.sd_p_n, e.sd_euler]) ** 2)
+        location_cov = _diagonal(e.sd_p_n[:, [1, 0, 2]] ** 2)
 
         def root(ns: int) -> None:
             turn = m.Quaternion(x=_HALF, y=_HALF, z=0.0, w=0.0)
@@ -207,7 +207,8 @@ class _Messages:
         yield self._ns(e.t_us[0]), root
         finite = np.isfinite(np.hstack([p_n, q_nb, lla])).all(axis=1)
         whole = np.diff(e.t_us // _SELDOM_US, prepend=-1) != 0
-        for k in np.flatnonzero(finite).tolist():
+        at = np.flatnonzero(finite)
+        for k in at[np.argsort(e.t_us[at], kind="stable")].tolist():
             yield self._ns(e.t_us[k]), partial(log_all if whole[k] else log_pose, k=k)
 
     def _fixes(self) -> Iterator[_Log]:
@@ -279,10 +280,10 @@ class _Messages:
             )
             if not accepted
         ]
-        if len(result.estimates):
+        if len(result):
             reason = result.summary.get("reason")
             end = f"{result.summary.get('health')}" + (f": {reason}" if reason else "")
-            remarks.append((int(result.estimates.t_us[-1]), m.LogLevel.Info, end))
+            remarks.append((int(result.t_us[-1]), m.LogLevel.Info, end))
 
         def log(ns: int, level: Any, text: str) -> None:
             said = m.Log(timestamp=self._stamp(ns), level=level, message=text, name="mavins")
@@ -302,8 +303,8 @@ def _diagonal(variances: FloatArray) -> FloatArray:
 
 def _in_body(e: Estimates) -> tuple[FloatArray, FloatArray]:
     """Velocity (N, 3) along the body's axes, and the covariance (N, 36) of it and of rates that nobody knows."""
-    turns = np.array([quat_to_dcm(q) for q in e.stack("q_w", "q_x", "q_y", "q_z")])
-    velocity = np.einsum("nij,ni->nj", turns, e.v_l)
+    turns = np.array([quat_to_dcm(q) for q in e.quaternions])
+    velocity = np.einsum("nij,ni->nj", turns, e.v)
     covariance = np.zeros((len(e), 6, 6))
     covariance[:, :3, :3] = np.einsum("nki,nk,nkj->nij", turns, e.sd_v**2, turns)
     return velocity, np.nan_to_num(covariance.reshape(-1, 36))

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from mavins.errors import LogFormatError
-from mavins.evaluation.result_folder import Result
+from mavins.estimates import Result
 from mavins.nav.rotations import quat_product
 from mavins.types import FloatArray, IntArray
 
@@ -44,13 +44,16 @@ def utc_texts(t_us: IntArray, offset_us: int | None) -> list[str]:
 
 def tracks(result: Result) -> Iterator[tuple[str, list[Stretch]]]:
     """The estimate, and GNSS where it was kept, each with its stretches."""
-    estimates = result.estimates
-    yield "estimate", stretches(estimates.t_us, estimates.stack("lat_deg", "lon_deg", "alt_m"))
+    yield "estimate", stretches(result.t_us, in_degrees(result.lla))
     if result.evidence is not None and len(result.evidence.gnss.t_us):
         gnss = result.evidence.gnss
         fixed = gnss.fix_type >= 3
-        place = np.column_stack([np.degrees(gnss.lla[fixed, :2]), gnss.lla[fixed, 2]])
-        yield "GNSS", stretches(gnss.t_us[fixed], place)
+        yield "GNSS", stretches(gnss.t_us[fixed], in_degrees(gnss.lla[fixed]))
+
+
+def in_degrees(lla: FloatArray) -> FloatArray:
+    """Latitude and longitude (N, 3) in deg, altitude in m, of the same in rad and m."""
+    return np.column_stack([np.degrees(lla[:, :2]), lla[:, 2]])
 
 
 def stretches(t_us: IntArray, degrees: FloatArray) -> list[Stretch]:
@@ -68,9 +71,7 @@ def origin_of(result: Result) -> tuple[float, float, float]:
     """The origin of n: latitude and longitude in rad, altitude in m. Raises LogFormatError where it is not told."""
     origin = result.summary.get("origin")
     if not isinstance(origin, dict):
-        raise LogFormatError(
-            f"{result.folder / 'summary.json'} does not tell the origin of n: replay the log again"
-        )
+        raise LogFormatError("summary.json does not tell the origin of n: replay the log again")
     return (
         float(np.radians(origin["lat_deg"])),
         float(np.radians(origin["lon_deg"])),
@@ -80,13 +81,10 @@ def origin_of(result: Result) -> tuple[float, float, float]:
 
 def attitude_in_n(result: Result) -> FloatArray:
     """The quaternions (N, 4), scalar first, from body to n; what is estimated is from body to local level."""
-    estimates = result.estimates
     lat, lon, _ = origin_of(result)
-    q_el = _level_to_earth(
-        np.radians(estimates.columns["lat_deg"]), np.radians(estimates.columns["lon_deg"])
-    )
+    q_el = _level_to_earth(result.lla[:, 0], result.lla[:, 1])
     q_ne = _level_to_earth(np.array([lat]), np.array([lon])) * np.array([1.0, -1.0, -1.0, -1.0])
-    return quat_product(quat_product(q_ne, q_el), estimates.stack("q_w", "q_x", "q_y", "q_z"))
+    return quat_product(quat_product(q_ne, q_el), result.quaternions)
 
 
 def _level_to_earth(lat: FloatArray, lon: FloatArray) -> FloatArray:

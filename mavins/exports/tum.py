@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from mavins.evaluation.result_folder import Result
+from mavins.estimates import Result
 from mavins.exports.places import attitude_in_n
 from mavins.table_text import csv_lines
 
@@ -18,11 +18,8 @@ _DECIMALS: Final = np.array([6, 4, 4, 4, 9, 9, 9, 9])
 
 def write(result: Result, folder: Path) -> None:
     """Write estimates.tum; the seconds count on the vehicle's clock, as t_us does."""
-    estimates = result.estimates
     q = attitude_in_n(result)
-    rows = np.column_stack(
-        [estimates.t_s, estimates.stack("p_n", "p_e", "p_d"), q[:, 1:], q[:, :1]]
-    )
+    rows = np.column_stack([result.seconds, result.p_n, q[:, 1:], q[:, :1]])
     rows = rows[np.isfinite(rows).all(axis=1)]
     # the quick writer begins each line with an integer, which is not wanted here
     lines = b"\n" + csv_lines(np.zeros(len(rows), dtype=np.int64), rows, _DECIMALS)

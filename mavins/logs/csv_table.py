@@ -56,9 +56,21 @@ def find_table(folder: Path, name: str) -> Path | None:
 
 
 def read_table(path: Path, needed: Sequence[str], optional: Sequence[str] = ()) -> CsvTable:
-    """Read a table whose header has `t_us` and the `needed` columns, and nothing else than `optional` ones.
+    """Read a table as `read_rows` does; its rows are put in the order of their stamps."""
+    t_us, names, rows = read_rows(path, needed, optional)
+    order = np.argsort(t_us, kind="stable")
+    rows = rows[order]
+    columns = {name: rows[:, i].copy() for i, name in enumerate(names) if name != STAMP}
+    return CsvTable(path, t_us[order], columns)
 
-    An empty field is a value that is not given. Rows are put in the order of their stamps. Raises LogFormatError.
+
+def read_rows(
+    path: Path, needed: Sequence[str], optional: Sequence[str] = ()
+) -> tuple[IntArray, list[str], FloatArray]:
+    """Stamps (N,), names and rows (N, names) of a table whose header has `t_us` and the `needed` columns, and nothing
+    else than `optional` ones.
+
+    An empty field is a value that is not given: nan. Raises LogFormatError.
     """
     data = _content(path).replace(b"\r\n", b"\n")
     head, _, body = data.partition(b"\n")
@@ -73,10 +85,7 @@ def read_table(path: Path, needed: Sequence[str], optional: Sequence[str] = ()) 
     if infinite.any():
         row, column = np.argwhere(infinite)[0].tolist()
         _damaged(path, body, row, names[column], "not a finite number")
-    order = np.argsort(t_us, kind="stable")
-    rows = rows[order]
-    columns = {name: rows[:, i].copy() for i, name in enumerate(names) if name != STAMP}
-    return CsvTable(path, rows[:, where].astype(np.int64), columns)
+    return t_us.astype(np.int64), names, rows
 
 
 def _content(path: Path) -> bytes:

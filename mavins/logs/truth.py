@@ -51,6 +51,12 @@ def truth_of(frames: Frames, sysid: int) -> Truth | None:
     return _hil_state(frames, sysid) or _sim_state(frames, sysid)
 
 
+def judge_of(truth: Truth | None, reference: Truth | None) -> Truth | None:
+    """What estimates are measured against: the truth, or for want of one the log's own filter."""
+    known = (judge for judge in (truth, reference) if judge is not None and len(judge) > 1)
+    return next(known, None)
+
+
 def joined(parts: Sequence[Truth]) -> Truth | None:
     """Parts of a truth, one after the other, as one; None for none."""
     if len(parts) < 2:

@@ -21,7 +21,8 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 _PACKAGE: Final = Path(__file__).resolve().parent.parent
 _KEPT_CACHES: Final = 4
-_COMPLETE: Final = "complete"
+# numba looks for compiled code by where its source lies: another copy of the package finds none of it
+_COMPLETE: Final = f"complete-{hashlib.sha256(str(_PACKAGE).encode()).hexdigest()[:8]}"
 
 
 def cache_root() -> Path:

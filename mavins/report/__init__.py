@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
+from mavins.estimates import Result
 from mavins.evaluation.findings import findings
-from mavins.evaluation.result_folder import Result, read_result
+from mavins.evaluation.result_folder import read_result
 from mavins.report.drawing import Figure
 from mavins.report.figures import of_estimate
 from mavins.report.figures_innovations import of_innovations
@@ -34,17 +35,17 @@ def write_report(folder: Path, png: bool = False) -> list[Path]:
 
     Raises LogFormatError for what is no result folder, OutputError where nothing can be written.
     """
-    return write_report_of(read_result(folder), png)
+    return write_report_of(read_result(folder), folder, png)
 
 
-def write_report_of(result: Result, png: bool = False) -> list[Path]:
-    """The same of a result that was read, into its folder."""
+def write_report_of(result: Result, folder: Path, png: bool = False) -> list[Path]:
+    """The same of a result at hand, into a folder."""
     from mavins.report.page import page_of
 
-    folder = result.folder
     sections = sections_of(result)
     written = [folder / REPORT]
-    write_text(written[0], page_of(result, findings(result), sections))
+    name = str(result.summary.get("log") or folder)
+    write_text(written[0], page_of(name, result, findings(result), sections))
     if png:
         from mavins.report.pngs import write_png
 

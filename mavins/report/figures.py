@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from mavins.evaluation.result_folder import Result
+from mavins.estimates import Result
 from mavins.nav.earth import SEMI_MAJOR
 from mavins.nav.so3 import quat_to_euler
 from mavins.report.drawing import (
@@ -41,7 +41,7 @@ _JUMP_DEG: Final = 180.0
 def of_estimate(result: Result) -> Iterator[Figure]:
     """All figures of this kind; those that have nothing to show are left out by who draws them."""
     yield track(result)
-    if len(result.estimates):
+    if len(result):
         yield motion(result)
         yield attitude(result)
         yield from errors(result)
@@ -52,11 +52,9 @@ def _others(
     result: Result,
 ) -> Iterator[tuple[str, str, bool, FloatArray, FloatArray, FloatArray, FloatArray]]:
     """Truth and reference: name, color, dashed, t, lla, v_l, q_lb."""
-    if result.evidence is None:
-        return
     for truth, word, color in (
-        (result.evidence.truth, "truth", BLACK),
-        (result.evidence.reference, "reference", PINK),
+        (result.truth, "truth", BLACK),
+        (result.reference, "reference", PINK),
     ):
         if truth is not None:
             yield (
@@ -79,7 +77,7 @@ def _north_east(lla: FloatArray, origin: FloatArray) -> tuple[FloatArray, FloatA
 def track(result: Result) -> Figure:
     """North over east with equal scales, and ellipses of 3 sigma now and then."""
     series: list[Series] = []
-    e, evidence = result.estimates, result.evidence
+    e, evidence = result, result.evidence
     usable = None
     if evidence is not None:
         usable = evidence.gnss.lla[evidence.gnss.fix_type >= 2]
@@ -115,11 +113,11 @@ def _stride(n: int) -> int:
 
 def _ellipses(result: Result, origin: FloatArray) -> Series:
     """One series of closed curves with gaps between them."""
-    e = result.estimates
+    e = result
     k = np.unique(np.linspace(0, len(e) - 1, _ELLIPSES).astype(np.int64))
     north, east = _north_east(e.lla[k], origin)
     turn = np.append(np.linspace(0.0, 2.0 * np.pi, 25), np.nan)
-    sd = 3.0 * e.sd_p[k]
+    sd = 3.0 * e.sd_p_n[k]
     x = east[:, None] + sd[:, 1:2] * np.cos(turn)
     y = north[:, None] + sd[:, 0:1] * np.sin(turn)
     return Series(_BAND, x.ravel(), y.ravel(), GREY, width=0.8)
@@ -127,7 +125,7 @@ def _ellipses(result: Result, origin: FloatArray) -> Series:
 
 def motion(result: Result) -> Figure:
     """Altitude, speed over ground, vertical speed."""
-    e = result.estimates
+    e = result
     altitude, ground, climb = [], [], []
     if result.evidence is not None and len(result.evidence.gnss.t_us):
         gnss = result.evidence.gnss
@@ -141,10 +139,10 @@ def motion(result: Result) -> Figure:
         altitude.append(line(name, t, lla[:, 2], color, 3.0, dashed))
         ground.append(line(name, t, np.hypot(v[:, 0], v[:, 1]), color, 3.0, dashed))
         climb.append(line(name, t, -v[:, 2], color, 3.0, dashed))
-    v = e.v_l
-    altitude.append(line("estimate", e.t_s, e.lla[:, 2], BLUE))
-    ground.append(line("estimate", e.t_s, np.hypot(v[:, 0], v[:, 1]), BLUE))
-    climb.append(line("estimate", e.t_s, -v[:, 2], BLUE))
+    v = e.v
+    altitude.append(line("estimate", e.seconds, e.lla[:, 2], BLUE))
+    ground.append(line("estimate", e.seconds, np.hypot(v[:, 0], v[:, 1]), BLUE))
+    climb.append(line("estimate", e.seconds, -v[:, 2], BLUE))
     return Figure(
         "motion",
         "Altitude and speed",
@@ -158,7 +156,7 @@ def motion(result: Result) -> Figure:
 
 def attitude(result: Result) -> Figure:
     """Roll, pitch and yaw; headings beside the yaw."""
-    e = result.estimates
+    e = result
     panels: list[list[Series]] = [[], [], []]
     if result.evidence is not None and len(result.evidence.yaw):
         yaw = np.remainder(result.evidence.yaw * DEG + 180.0, 360.0) - 180.0
@@ -171,7 +169,7 @@ def attitude(result: Result) -> Figure:
                 Series(name, *_unbroken(t, euler[:, i]), color, width=3.0, dashed=dashed)
             )
     for i in range(3):
-        x, y = thin(e.t_s, e.euler[:, i] * DEG)
+        x, y = thin(e.seconds, e.euler[:, i] * DEG)
         panels[i].append(Series("estimate", *_unbroken(x, y), BLUE))
     named = tuple(Panel(f"{n}, deg", tuple(s)) for n, s in zip(_EULER, panels, strict=True))
     return Figure("attitude", "Attitude", named)
@@ -185,9 +183,9 @@ def _unbroken(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def errors(result: Result) -> Iterator[Figure]:
     """Errors inside their 3 sigma; without anything to compare to, the sigmas alone."""
-    e, found = result.estimates, result.errors
+    e, found = result, result.errors
     kinds = (
-        ("position", "m", _NED, e.sd_p, 1.0, None if found is None else found.pos),
+        ("position", "m", _NED, e.sd_p_n, 1.0, None if found is None else found.pos),
         ("velocity", "m/s", _NED, e.sd_v, 1.0, None if found is None else found.vel),
         ("attitude", "deg", _EULER, e.sd_euler, DEG, None if found is None else found.att),
     )
@@ -197,11 +195,11 @@ def errors(result: Result) -> Iterator[Figure]:
         for i, name in enumerate(names):
             s = 3.0 * scale * sigma[:, i]
             if found is None or error is None or not judged:
-                series: tuple[Series, ...] = (line(_BAND, e.t_s, s, BLUE),)
+                series: tuple[Series, ...] = (line(_BAND, e.seconds, s, BLUE),)
             else:
                 word = f"estimate - {'truth' if result.is_true else 'reference'}"
                 series = (
-                    band(_BAND, e.t_s, -s, s),
+                    band(_BAND, e.seconds, -s, s),
                     line(word, seconds(found.t_us), scale * error[:, i], BLUE),
                 )
             panels.append(Panel(f"{name}, {unit}", series))
@@ -220,30 +218,29 @@ def _title(kind: str, judged: Result | None) -> str:
 
 def states(result: Result) -> Iterator[Figure]:
     """Biases, and whatever else is estimated, with bands of 3 sigma."""
-    e, s = result.estimates, result.config
-    rad_s = ("deg/s", DEG)
-    groups: tuple[tuple[str, str, str, float, tuple[str, ...], tuple[float, ...] | None], ...] = (
-        ("gyro_bias", "Gyro bias", *rad_s, ("b_g_x", "b_g_y", "b_g_z"), None),
-        ("accel_bias", "Accelerometer bias", "m/s²", 1.0, ("b_a_x", "b_a_y", "b_a_z"), None),
-        ("lever_arm", "Lever arm of GNSS", "m", 1.0, ("l_b_x", "l_b_y", "l_b_z"), s.gnss.lever_arm),
-        ("delay", "Delay of GNSS", "ms", 1e3, ("tau",), None),
-        ("baro_bias", "Level of the barometer", "m", 1.0, ("b_baro",), None),
-        ("hard_iron", "Hard iron", "share of the field", 1.0, ("b_m_x", "b_m_y", "b_m_z"), None),
-        ("gravity", "Turn of gravity", "mdeg", 1e3 * DEG, ("g_n", "g_e"), None),
+    t, xyz = result.seconds, ("x", "y", "z")
+    arm = result.config.gnss.lever_arm
+    groups: tuple[tuple[str, str, str, str, float, tuple[str, ...], tuple[float, ...]], ...] = (
+        ("b_g", "gyro_bias", "Gyro bias", "deg/s", DEG, xyz, ()),
+        ("b_a", "accel_bias", "Accelerometer bias", "m/s²", 1.0, xyz, ()),
+        ("l_b", "lever_arm", "Lever arm of GNSS", "m", 1.0, xyz, arm),
+        ("tau", "delay", "Delay of GNSS", "ms", 1e3, ("delay",), ()),
+        ("b_baro", "baro_bias", "Level of the barometer", "m", 1.0, ("level",), ()),
+        ("b_m", "hard_iron", "Hard iron", "share of the field", 1.0, xyz, ()),
+        ("g_n", "gravity", "Turn of gravity", "mdeg", 1e3 * DEG, ("n", "e"), ()),
     )
-    for key, title, unit, scale, names, setting in groups:
-        if names[0] not in e:
+    for name, key, title, unit, scale, parts, setting in groups:
+        if not result.has(name):
             continue
+        values, sigmas = result.state(name)
         panels = []
-        for i, name in enumerate(names):
-            value = scale * e.columns[name]
-            series: list[Series] = []
-            if f"sd_{name}" in e:
-                sigma = 3.0 * scale * e.columns[f"sd_{name}"]
-                series.append(band(_BAND, e.t_s, value - sigma, value + sigma))
-            series.append(line("estimate", e.t_s, value, AXIS_COLORS[0]))
-            if setting is not None:
-                series.append(level("setting", e.t_s, scale * setting[i]))
-            part = name.rsplit("_", 1)[-1] if len(names) > 1 else title.partition(" ")[0].lower()
+        for i, part in enumerate(parts):
+            value, sigma = scale * values[:, i], 3.0 * scale * sigmas[:, i]
+            series = [
+                band(_BAND, t, value - sigma, value + sigma),
+                line("estimate", t, value, AXIS_COLORS[0]),
+            ]
+            if setting:
+                series.append(level("setting", t, scale * setting[i]))
             panels.append(Panel(f"{part}, {unit}", tuple(series)))
         yield Figure(key, title, tuple(panels), height=170 if len(panels) > 1 else 240)

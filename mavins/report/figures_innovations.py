@@ -8,10 +8,10 @@ from typing import Final
 
 import numpy as np
 
+from mavins.estimates import Innovations, Result
 from mavins.estimator.gate import gate_threshold
 from mavins.evaluation.findings_aiding import words
 from mavins.evaluation.innovation_tests import autocorrelation, nis_band, running_mean
-from mavins.evaluation.result_folder import Innovations, Result
 from mavins.report.drawing import (
     AXIS_COLORS,
     BLACK,

@@ -7,8 +7,8 @@ from typing import Final
 
 import numpy as np
 
+from mavins.estimates import Result
 from mavins.evaluation.evidence import Evidence
-from mavins.evaluation.result_folder import Result
 from mavins.report.drawing import (
     AXIS_COLORS,
     BLACK,

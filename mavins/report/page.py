@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from html import escape
 from importlib.resources import files
 from string import Template
@@ -11,8 +11,8 @@ from typing import Any, Final
 
 from plotly.offline import get_plotlyjs
 
+from mavins.estimates import Result
 from mavins.evaluation.findings import Finding
-from mavins.evaluation.result_folder import Result
 from mavins.report.drawing import Figure
 from mavins.report.plotly_figures import height, plotly_figure
 
@@ -29,16 +29,16 @@ _JUDGED: Final = (
 
 
 def page_of(
+    name: str,
     result: Result,
     findings: Sequence[Finding],
     sections: Sequence[tuple[str, Sequence[Figure]]],
 ) -> str:
-    """The HTML text."""
+    """The HTML text of a log's result."""
     figures = [figure for _, group in sections for figure in group]
     extent = _extent(figures)
     drawn = [plotly_figure(figure, extent) for figure in figures]
     keys = {figure.key for figure in figures}
-    name = str(result.summary.get("log") or result.folder)
     template = Template((files("mavins.report") / "page.html").read_text(encoding="utf-8"))
     return template.substitute(
         title=escape(f"{_last(name)} - mavins report"),
@@ -84,15 +84,14 @@ def _facts(result: Result) -> Iterator[str]:
     imu = summary.get("imu") or {}
     if imu.get("message"):
         yield f"IMU {escape(str(imu['message']))}, {int(summary.get('imu_samples', 0))} samples"
-    yield f"{int(summary.get('rows', len(result.estimates)))} estimates"
+    yield f"{int(summary.get('rows', len(result)))} estimates"
 
 
 def _duration(result: Result) -> float:
-    t_us = result.estimates.t_us
-    return float(t_us[-1] - t_us[0]) * 1e-6 if len(t_us) else 0.0
+    return float(result.t_us[-1] - result.t_us[0]) * 1e-6 if len(result) else 0.0
 
 
-def _errors(summary: dict[str, Any]) -> str:
+def _errors(summary: Mapping[str, Any]) -> str:
     """The table of errors: what is compared, RMS and largest."""
     rows, said = [], ""
     for key, words in _JUDGED:

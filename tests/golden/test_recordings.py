@@ -78,6 +78,7 @@ def within(summary: dict[str, Any], name: str, limits: tuple[float, float, float
         assert value <= limit, f"{name}[{axis}]: {reached} against {limits}"
 
 
+@pytest.mark.wheel
 def test_px4_is_at_least_as_good_as_the_autopilots_own_filter(px4: Result) -> None:
     summary = px4.summary
     assert summary["truth"]["source"] == "HIL_STATE_QUATERNION"
@@ -158,6 +159,7 @@ def test_rejections_are_counted_with_their_reasons(
     assert {reason: reasons.count(reason) for reason in set(reasons)} == rejected
 
 
+@pytest.mark.wheel
 def test_estimates_have_the_documented_columns_and_rate(px4: Result) -> None:
     header, rows = px4.rows()
     assert ",".join(header) == HEADER

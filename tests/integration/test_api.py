@@ -41,4 +41,4 @@ def test_the_table_names_what_there_is() -> None:
     cells = re.findall(r"^\| (`[^|]*) \|", text, re.MULTILINE)
     named = {name.partition("(")[0] for cell in cells for name in re.findall(r"`([^`]+)`", cell)}
     there = {name for name in dir(mavins.Result) if not name.startswith("_")}
-    assert named == there - {"plot", "against", "further"}
+    assert named == there - {"plot", "against"}

@@ -8,6 +8,7 @@ import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from mavins.cli.main import main
@@ -125,7 +126,7 @@ def flown(scenario: Scenario, config: Config, out: Path, seed: int = 3) -> None:
             getattr(witness, name)(what)
         estimator.finish()
     write_text(folder / "config.yaml", to_yaml(config))
-    write_evidence(folder / FILE, witness.evidence(truth))
+    write_evidence(folder / FILE, witness.evidence(truth), np.empty((0, 6)))
     write_json(out / "summary.json", {"filter": config.filter, **outcome_of(estimator)})
 
 

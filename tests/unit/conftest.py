@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from mavins.config import Config, load
+from mavins.estimates import Estimates, Innovations, Result
 from mavins.evaluation.errors import Errors
 from mavins.evaluation.evidence import Evidence, Gnss, ImuSeconds
-from mavins.evaluation.result_folder import Estimates, Innovations, Result
 from mavins.evaluation.spectrum import LENGTH, Spectrum
 from mavins.logs.truth import Truth
-from mavins.results import ESTIMATES
+from mavins.nav.layout import Layout
+from mavins.results import width
 from mavins.types import FloatArray, IntArray
 
 SECONDS = 200
@@ -45,22 +45,14 @@ def place(t: FloatArray) -> FloatArray:
 def estimates(rng: np.random.Generator) -> tuple[Estimates, Errors]:
     t_us = np.arange(10_000_000, 10_000_000 + SECONDS * 1_000_000, 20_000)
     t = t_us * 1e-6
-    columns = {name: np.zeros(len(t)) for name in ESTIMATES.split(",")[1:]}
-    sigmas = {"p": 0.2, "v": 0.05}
     pos, vel, att = (slow(rng, len(t), s) for s in (0.2, 0.05, 0.02))
-    lla = place(t)
-    columns["lat_deg"], columns["lon_deg"] = np.degrees(lla[:, 0]), np.degrees(lla[:, 1])
-    columns["alt_m"] = lla[:, 2]
-    for i, axis in enumerate("ned"):
-        columns[f"v_{axis}"] = velocity(t)[:, i]
-        for kind, sigma in sigmas.items():
-            columns[f"sd_{kind}_{axis}"] += sigma
-    for name in ("sd_roll", "sd_pitch", "sd_yaw"):
-        columns[name] += 0.02
-    for axis in "xyz":
-        columns[f"sd_b_g_{axis}"] = np.full(len(t), 0.001)
-        columns[f"sd_b_a_{axis}"] = np.full(len(t), 0.02)
-    return Estimates(t_us, columns), Errors(t_us, pos, vel, att)
+    layout = Layout.of()
+    e = Estimates(t_us, np.zeros((len(t), width(layout))), layout)
+    e.lla[:], e.v[:] = place(t), velocity(t)
+    sigmas = {"p_n": 0.2, "v": 0.05, "euler": 0.02, "b_g": 0.001, "b_a": 0.02}
+    for name, sigma in sigmas.items():
+        e.state(name)[1][:] = sigma
+    return e, Errors(t_us, pos, vel, att)
 
 
 def slow(rng: np.random.Generator, n: int, sigma: float) -> FloatArray:
@@ -74,12 +66,11 @@ def slow(rng: np.random.Generator, n: int, sigma: float) -> FloatArray:
     return out
 
 
-def white(rng: np.random.Generator, aiding: str, t_us: IntArray, sigma: list[float]) -> Innovations:
+def white(rng: np.random.Generator, t_us: IntArray, sigma: list[float]) -> Innovations:
     r = np.array(sigma) * rng.standard_normal((len(t_us), len(sigma)))
     nis = ((r / sigma) ** 2).sum(axis=1)
     n = len(t_us)
     return Innovations(
-        aiding,
         t_us,
         t_us.copy(),
         np.full(n, "test"),
@@ -143,9 +134,9 @@ def clean() -> Result:
     e, errors = estimates(rng)
     fixes = np.arange(10_000_000, int(e.t_us[-1]), 200_000)
     innovations = {
-        "gnss_position": white(rng, "gnss_position", fixes, [0.52, 0.52, 0.82]),
-        "gnss_velocity": white(rng, "gnss_velocity", fixes, [0.11, 0.11, 0.11]),
-        "heading": white(rng, "heading", fixes, [0.036]),
+        "gnss_position": white(rng, fixes, [0.52, 0.52, 0.82]),
+        "gnss_velocity": white(rng, fixes, [0.11, 0.11, 0.11]),
+        "heading": white(rng, fixes, [0.036]),
     }
     summary = {
         "mavins": "0",
@@ -173,5 +164,13 @@ def clean() -> Result:
         },
     }
     return Result(
-        Path("result"), "eskf", summary, settings(), e, innovations, evidence(rng, e), errors
+        e.t_us,
+        e.table,
+        e.layout,
+        settings(),
+        innovations,
+        evidence(rng, e),
+        errors,
+        None,
+        summary,
     )

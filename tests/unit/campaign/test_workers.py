@@ -103,7 +103,8 @@ def test_how_many() -> None:
         Workers(0)
 
 
-def test_no_scheduler_there() -> None:
+def test_no_scheduler_there(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed")
+    monkeypatch.setattr("mavins.campaign.workers.ANSWER_S", 0.5)
     with pytest.raises(ConfigError, match=r"--scheduler tcp://127\.0\.0\.1:1: no Dask"):
         list(spread(square, [1], Workers(scheduler="tcp://127.0.0.1:1")))

@@ -111,19 +111,23 @@ def test_a_good_flight_passes(pair: Pair, capsys: pytest.CaptureFixture[str]) ->
 
 
 @pytest.mark.parametrize(
-    ("children", "complaint"),
+    ("children", "duration", "complaint"),
     [
-        ({"error": 1.5}, "RMS position error 1.50 m is above 1 m"),
-        ({"error": None}, "the simulator's truth was never seen"),
-        ({"sitl_after": "raise SystemExit(3)"}, "sitl ended by itself (exit status 3)"),
-        ({"count": 3, "serve_after": "sys.exit(2)"}, "serve ended by itself (exit status 2)"),
-        ({"on_term": "lambda *_: sys.exit(9)"}, "serve failed (exit status 9)"),
+        ({"error": 1.5}, 0.3, "RMS position error 1.50 m is above 1 m"),
+        ({"error": None}, 0.3, "the simulator's truth was never seen"),
+        ({"sitl_after": "raise SystemExit(3)"}, 30.0, "sitl ended by itself (exit status 3)"),
+        ({"count": 3, "serve_after": "sys.exit(2)"}, 30.0, "serve ended by itself (exit status 2)"),
+        ({"on_term": "lambda *_: sys.exit(9)"}, 0.3, "serve failed (exit status 9)"),
     ],
 )
 def test_a_bad_flight_fails_and_says_why(
-    pair: Pair, capsys: pytest.CaptureFixture[str], children: dict[str, object], complaint: str
+    pair: Pair,
+    capsys: pytest.CaptureFixture[str],
+    children: dict[str, object],
+    duration: float,
+    complaint: str,
 ) -> None:
-    assert fly(pair.children(**children), duration=1.0) == 1  # type: ignore[arg-type]
+    assert fly(pair.children(**children), duration=duration) == 1  # type: ignore[arg-type]
     assert f"FAILED: {complaint}" in capsys.readouterr().out
     assert pair.alive() == []
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import builtins
 import sys
-from dataclasses import replace as with_fields
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ import pytest
 import mavins.report
 from mavins.cli import replay
 from mavins.cli.main import main
-from mavins.evaluation.result_folder import Result
+from mavins.estimates import Result
 
 
 def missing(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
@@ -38,8 +37,7 @@ def test_it_is_written_where_the_results_are(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     pytest.importorskip("plotly")
-    here = with_fields(clean, folder=tmp_path)
-    monkeypatch.setattr(mavins.report, "read_result", lambda folder: here)
+    monkeypatch.setattr(mavins.report, "read_result", lambda folder: clean)
     assert main(["report", str(tmp_path)]) == 0
     assert capsys.readouterr().out == f"written to {tmp_path / 'report.html'}\n"
     assert (tmp_path / "report.html").stat().st_size > 4e6
@@ -62,7 +60,7 @@ def test_without_the_extra_the_command_is_named(
     missing(monkeypatch, "plotly")
     assert main(["report", str(tmp_path)]) == 2
     assert "pip install 'mavins[report]'" in capsys.readouterr().err
-    replay._report(tmp_path, clean)  # a replay goes on
+    replay._report(tmp_path, clean, tmp_path)  # a replay goes on
     said = capsys.readouterr().err
     assert "pip install 'mavins[report]'" in said
     assert f"mavins report {tmp_path}" in said

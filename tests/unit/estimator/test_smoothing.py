@@ -12,6 +12,7 @@ import pytest
 from mavins.config import Config
 from mavins.estimator.estimator import Estimator, Outputs
 from mavins.estimator.history import History
+from mavins.estimator.settings import Settings
 from mavins.estimator.smoothing import smooth
 from mavins.evaluation.consistency import errors, nees
 from mavins.evaluation.errors import interpolate_truth
@@ -20,6 +21,7 @@ from mavins.examples.scenarios import flight, matched
 from mavins.filters import REGISTRY, RowBlock
 from mavins.logs.truth import Truth
 from mavins.nav.earth import TangentFrame
+from mavins.nav.layout import X_G
 from mavins.nav.so3 import dcm_to_quat, quat_conj, quat_mul
 from mavins.types import FloatArray
 from sitl.scenario import load
@@ -47,10 +49,10 @@ def joined(blocks: list[RowBlock]) -> RowBlock:
 
 
 def both(
-    name: str, feeds: list[tuple[str, Any]]
+    name: str, feeds: list[tuple[str, Any]], settings: Settings | None = None
 ) -> tuple[RowBlock, RowBlock, Estimator, list[TangentFrame]]:
     """Filtered rows, smoothed rows, the estimator and the frame of each smoothed block."""
-    settings = flown()[0].settings
+    settings = settings or flown()[0].settings
     filtered: list[RowBlock] = []
     history = History()
 
@@ -98,6 +100,23 @@ def test_a_flight_is_better_known_afterwards(name: str) -> None:
     assert np.linalg.eigvalsh(unit).min() > 0.0
     np.testing.assert_array_equal(smoothed.P, smoothed.P.transpose(0, 2, 1))
     # nine degrees of freedom, correlated from row to row
+    assert 4.0 < np.mean(nees(e, smoothed.P[:, :9, :9])) < 18.0
+
+
+def test_gravity_is_the_same_before_and_after() -> None:
+    """What does not change is known as well at the start as at the end, where the filter knows it best."""
+    settings = flown()[0].settings
+    states = dataclasses.replace(settings.states, gravity="estimate")
+    settings = dataclasses.replace(settings, states=states)
+    filtered, smoothed, estimator, frames = both("eskf", flown()[0].feeds, settings)
+    assert estimator.filter.layout.blocks[-1] == "g_n"
+    np.testing.assert_allclose(
+        smoothed.x[:, X_G], np.tile(filtered.x[-1, X_G], (len(smoothed.x), 1)), atol=1e-7
+    )
+    g = smoothed.P[:, 15:, 15:]
+    np.testing.assert_allclose(g, np.broadcast_to(filtered.P[-1, 15:, 15:], g.shape), rtol=1e-3)
+    assert filtered.P[0, 15, 15] > 10.0 * g[0, 0, 0]
+    e = errors(true_states(smoothed, frames[0]), smoothed.x)[:, :9]
     assert 4.0 < np.mean(nees(e, smoothed.P[:, :9, :9])) < 18.0
 
 

@@ -14,24 +14,26 @@ from mavins.cli.diff import lines_of
 from mavins.cli.main import main
 from mavins.config import Config, to_yaml
 from mavins.errors import LogFormatError
+from mavins.estimates import Estimates, Innovations, Result
 from mavins.evaluation.difference import difference
-from mavins.evaluation.result_folder import Estimates, Innovations, Result
 from mavins.nav.earth import TangentFrame
-from mavins.results import BIAS_SIGMA_NAMES, ESTIMATES, INNOVATIONS, write_json, write_text
+from mavins.nav.layout import Layout
+from mavins.results import ESTIMATES, INNOVATIONS, write_json, write_text
 from mavins.types import Origin
 
 N = 100
+SIGMAS = [f"sd_{bias}_{axis}" for bias in ("b_g", "b_a") for axis in "xyz"]
 ORIGIN = {"lat_deg": 47.4, "lon_deg": 8.5, "alt_m": 500.0}
 FRAME = TangentFrame.at(Origin(math.radians(47.4), math.radians(8.5), 500.0))
 
 
 def estimates(**columns: Any) -> Estimates:
     """Zeros with sigmas of 0.1, at 10 Hz from 1 s on; `columns` are put in their place."""
-    names = [*ESTIMATES.split(",")[1:], *BIAS_SIGMA_NAMES]
-    values = {n: np.full(N, 0.1 if n.startswith("sd_") else 0.0) for n in names}
+    names = [*ESTIMATES.split(",")[1:], *SIGMAS]
+    table = np.tile([0.1 if name.startswith("sd_") else 0.0 for name in names], (N, 1))
     for name, value in columns.items():
-        values[name] = np.broadcast_to(np.asarray(value, dtype=np.float64), (N,)).copy()
-    return Estimates(1_000_000 + 100_000 * np.arange(N), values)
+        table[:, names.index(name)] = value
+    return Estimates(1_000_000 + 100_000 * np.arange(N), table, Layout.of())
 
 
 def innovations(accepted: int, rejected: int) -> dict[str, Innovations]:
@@ -40,21 +42,23 @@ def innovations(accepted: int, rejected: int) -> dict[str, Innovations]:
     words, numbers = np.full(n, ""), np.zeros(n)
     t_us = np.arange(n)
     found = Innovations(
-        "heading", t_us, t_us, words, fused, words, numbers, numbers[:, None], numbers[:, None]
+        t_us, t_us, words, fused, words, numbers, numbers[:, None], numbers[:, None]
     )
     return {"heading": found}
 
 
 def result(found: Estimates | None = None, config: Config | None = None, **summary: Any) -> Result:
+    found = found or estimates()
     return Result(
-        Path("result"),
-        "eskf",
-        {"filter": "eskf", "origin": ORIGIN} | summary,
+        found.t_us,
+        found.table,
+        found.layout,
         config or Config(),
-        found or estimates(),
         innovations(7, 3),
         evidence=None,
         errors=None,
+        smoothed=None,
+        summary={"filter": "eskf", "origin": ORIGIN} | summary,
     )
 
 
@@ -109,7 +113,7 @@ def test_without_a_sigma_any_difference_counts() -> None:
 
 def test_missing_instants_are_a_difference() -> None:
     whole = estimates()
-    part = Estimates(whole.t_us[:90], {k: v[:90] for k, v in whole.columns.items()})
+    part = Estimates(whole.t_us[:90], whole.table[:90], whole.layout)
     found = difference(result(whole), result(part))
     assert (found.common, found.only_a, found.only_b) == (90, 10, 0)
     assert not found.is_within(1e6)
@@ -124,10 +128,11 @@ def test_nothing_in_common_is_an_error() -> None:
 def test_positions_are_compared_in_one_frame() -> None:
     """The same places, told from another origin."""
     lat, lon, alt = FRAME.to_lla(np.array([100.0, 50.0, -10.0]))
-    place = {"lat_deg": math.degrees(lat), "lon_deg": math.degrees(lon), "alt_m": alt}
+    place = {"lat_deg": lat, "lon_deg": lon, "alt_m": alt}  # a table is in rad
     a = estimates(p_n=100.0, p_e=50.0, p_d=-10.0, **place)
     b = estimates(**place)
-    found = difference(result(a), result(b, origin=place))
+    origin = {"lat_deg": math.degrees(lat), "lon_deg": math.degrees(lon), "alt_m": alt}
+    found = difference(result(a), result(b, origin=origin))
     assert max(m.largest for m in found.moved if m.quantity == "position") < 1e-6
 
 

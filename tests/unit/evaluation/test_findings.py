@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 
 from mavins.config import Config
+from mavins.estimates import Innovations, Result
 from mavins.evaluation.findings import Finding, findings
-from mavins.evaluation.result_folder import Innovations, Result
-from mavins.types import FloatArray
+from mavins.nav.layout import CORE, Layout
+from mavins.results import width
 
 replace = dataclasses.replace
 
@@ -46,9 +47,18 @@ def with_gnss(result: Result, **changes: Any) -> Result:
     return replace(result, evidence=replace(result.evidence, gnss=gnss))
 
 
-def with_column(result: Result, name: str, values: FloatArray) -> Result:
-    e = result.estimates
-    return replace(result, estimates=replace(e, columns=e.columns | {name: values}))
+def with_state(result: Result, name: str, values: Any, sigmas: Any = None) -> Result:
+    """The result with a state of these values, and sigmas, whether it had it or not."""
+    if not result.has(name):
+        layout = Layout.of((*CORE, name))
+        further = np.zeros((len(result), width(layout) - result.table.shape[1]))
+        table = np.hstack([result.table[:, :-6], further, result.table[:, -6:]])
+        result = replace(result, table=table, layout=layout)
+    result = replace(result, table=result.table.copy())
+    for place, value in zip(result.state(name), (values, sigmas), strict=True):
+        if value is not None:
+            place[:] = value
+    return result
 
 
 def with_summary(result: Result, **changes: Any) -> Result:
@@ -77,12 +87,7 @@ def test_the_worst_comes_first(clean: Result) -> None:
 
 
 def test_no_estimate(clean: Result) -> None:
-    none = replace(
-        clean.estimates,
-        t_us=np.empty(0, dtype=np.int64),
-        columns={name: np.empty(0) for name in clean.estimates.columns},
-    )
-    spoilt = replace(clean, estimates=none, errors=None, innovations={})
+    spoilt = replace(clean, t_us=clean.t_us[:0], table=clean.table[:0], errors=None, innovations={})
     spoilt = with_summary(spoilt, health="aligning", reason="no GNSS fix yet")
     assert "no GNSS fix yet" in the(spoilt, "no estimate").text
 
@@ -118,7 +123,7 @@ def test_a_reference_is_not_a_judge(clean: Result) -> None:
 
 
 def test_a_yaw_that_is_not_known(clean: Result) -> None:
-    spoilt = with_column(clean, "sd_yaw", np.full(len(clean.estimates), math.radians(40.0)))
+    spoilt = with_state(clean, "euler", clean.euler, [0.02, 0.02, math.radians(40.0)])
     assert the(spoilt, "yaw is not known").level == "wrong"
     without = {k: v for k, v in clean.innovations.items() if k != "heading"}
     fine = findings(replace(clean, innovations=without))
@@ -126,28 +131,24 @@ def test_a_yaw_that_is_not_known(clean: Result) -> None:
 
 
 def test_a_large_bias(clean: Result) -> None:
-    spoilt = with_column(clean, "b_g_y", np.full(len(clean.estimates), -0.05))
+    spoilt = with_state(clean, "b_g", [0.0, -0.05, 0.0])
     found = the(spoilt, "gyro bias y")
     assert "imu.gyro_bias_sigma: 0.05" in found.advice
 
 
 def test_a_lever_arm_that_is_not_the_one_set(clean: Result) -> None:
-    spoilt = clean
-    for i, axis in enumerate("xyz"):
-        spoilt = with_column(spoilt, f"l_b_{axis}", np.full(len(clean.estimates), (0.8, 0, 0)[i]))
-        spoilt = with_column(spoilt, f"sd_l_b_{axis}", np.full(len(clean.estimates), 0.05))
+    spoilt = with_state(clean, "l_b", [0.8, 0.0, 0.0], 0.05)
     assert "gnss.lever_arm: [0.80, 0.00, 0.00]" in the(spoilt, "antenna lies").advice
 
 
 def late(result: Result, delay: float) -> Innovations:
     """Velocity innovations of a filter that follows with its gain GNSS velocities that are late."""
     m = result.innovations["gnss_velocity"]
-    v = [result.estimates.columns[name] for name in ("v_n", "v_e", "v_d")]
     t = m.t_us * 1e-6
     r = m.innovation.copy()
     gain = 1.0 - (0.1 / 0.11) ** 2
     for i in range(3):
-        now, then = (np.interp(t - back, result.estimates.t_s, v[i]) for back in (0.0, delay))
+        now, then = (np.interp(t - back, result.seconds, result.v[:, i]) for back in (0.0, delay))
         error = 0.0
         for k in range(len(t)):
             shift = then[k] - now[k] - error
@@ -167,21 +168,16 @@ def test_gnss_that_is_late(clean: Result, delay: float) -> None:
 
 
 def test_a_delay_that_does_not_show(clean: Result) -> None:
-    still = clean
-    for axis in "ned":
-        still = with_column(still, f"v_{axis}", np.zeros(len(clean.estimates)))
-    assert the(still, "does not show").level == "note"
+    assert the(with_state(clean, "v", 0.0), "does not show").level == "note"
 
 
 def test_a_delay_that_was_estimated(clean: Result) -> None:
-    n = len(clean.estimates)
-    tau = with_column(clean, "tau", np.linspace(0.0, 0.18, n))
-    found = the(with_column(tau, "sd_tau", np.full(n, 0.005)), "lags the IMU by 180 ms")
+    tau = np.linspace(0.0, 0.18, len(clean))[:, None]
+    found = the(with_state(clean, "tau", tau, 0.005), "lags the IMU by 180 ms")
     assert found.level == "note"
     assert "gnss.delay: 0.18" in found.advice
-    assert the(with_column(tau, "sd_tau", np.full(n, 0.09)), "does not show").level == "note"
-    same = with_column(with_column(clean, "tau", np.zeros(n)), "sd_tau", np.full(n, 0.005))
-    assert said(same) == []
+    assert the(with_state(clean, "tau", tau, 0.09), "does not show").level == "note"
+    assert said(with_state(clean, "tau", 0.0, 0.005)) == []
 
 
 @pytest.mark.parametrize(("share", "level"), [(0.02, "note"), (0.2, "wrong")])

@@ -11,9 +11,10 @@ import pytest
 
 from mavins.config import Config, to_yaml
 from mavins.errors import LogFormatError
+from mavins.estimates import Result
 from mavins.estimator.fusion import Event
 from mavins.evaluation.evidence import FILE, write_evidence
-from mavins.evaluation.result_folder import Result, read_innovations, read_result
+from mavins.evaluation.result_folder import read_innovations, read_result
 from mavins.filters.base import RowBlock
 from mavins.nav.earth import TangentFrame
 from mavins.nav.layout import CORE, Layout
@@ -63,14 +64,14 @@ def test_all_of_it(folder: Path) -> None:
         "flight.tlog",
         Config(),
     )
-    e = result.estimates
-    assert (len(e), e.t_s[0]) == (50, 1.0)
-    assert e.lla[0] == pytest.approx([0.8, 0.1, 500.0])
-    assert e.columns["tau"][-1] == 0.18
-    assert e.columns["b_g_x"][-1] == 0.003
-    assert "sd_b_a_z" not in e  # nothing was witnessed
-    assert e.sd_p[0] == pytest.approx([0.2, 0.2, 0.2])
-    assert "l_b_x" not in e
+    assert (len(result), result.seconds[0]) == (50, 1.0)
+    assert result.lla[0] == pytest.approx([0.8, 0.1, 500.0])
+    assert [part[-1, 0] for part in result.state("tau")] == [0.18, 0.2]
+    assert result.b_g[-1, 0] == 0.003
+    assert np.isnan(result.sd_b_a).all()  # nothing was witnessed
+    assert result.sd_p_n[0] == pytest.approx([0.2, 0.2, 0.2])
+    assert not result.has("l_b")
+    assert result.smoothed is None
     assert list(result.innovations) == ["gnss_velocity", "heading"]
     m = result.innovations["gnss_velocity"]
     assert m.t_us.tolist() == [1_200_000, 1_400_000, 1_500_000]
@@ -80,13 +81,8 @@ def test_all_of_it(folder: Path) -> None:
     assert m.innovation.shape == (3, 2)
     assert np.isnan(m.innovation[2]).all()
     assert m.nis[:2].tolist() == [1.5, 99.0]
-    assert (result.evidence, result.errors, result.judge, result.is_true) == (
-        None,
-        None,
-        None,
-        False,
-    )
-    assert result.at(np.array([0, 1_030_000, 9_000_000])).tolist() == [0, 1, 49]
+    assert result.evidence is result.errors is result.judge is None
+    assert not result.is_true
 
 
 @pytest.mark.jit
@@ -98,9 +94,11 @@ def test_errors_against_what_was_kept(folder: Path, clean: Result) -> None:
     write_evidence(
         folder / "eskf" / FILE,
         replace(clean.evidence, truth=moved, reference=None),
+        np.full((50, 6), 0.25),
     )
     result = read_result(folder)
     assert result.is_true
+    assert np.array_equal(result.sd_b_g, np.full((50, 3), 0.25))
     assert result.errors is not None
     assert result.errors.pos.shape == (len(result.errors.t_us), 3)
     assert 20 <= len(result.errors.t_us) <= 50

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from mavins.errors import LogFormatError
+from mavins.estimates import Result
 from mavins.estimator.settings import Settings
 from mavins.evaluation.evidence import Evidence, read_evidence, thinned, write_evidence
-from mavins.evaluation.result_folder import Result
 from mavins.evaluation.spectrum import Welch
 from mavins.evaluation.tape import Tape
 from mavins.evaluation.witness import Witness
@@ -157,9 +157,11 @@ def test_evidence_comes_back_as_it_was_written(clean: Result, tmp_path: Path) ->
     assert read_evidence(path) is None
     written = clean.evidence
     assert written is not None
-    write_evidence(path, written)
-    found = read_evidence(path)
+    sigmas = np.full((3, 6), 0.5)
+    write_evidence(path, written, sigmas)
+    found, told = read_evidence(path) or (None, None)
     assert isinstance(found, Evidence)
+    assert np.array_equal(told, sigmas)
     for part in ("gnss", "imu", "spectrum", "truth"):
         one, other = getattr(found, part), getattr(written, part)
         for name in one.__slots__:

@@ -12,9 +12,10 @@ import pytest
 
 from mavins.aiding import Measurement
 from mavins.config import Config, to_yaml
+from mavins.estimates import Result
 from mavins.estimator.fusion import Event
 from mavins.evaluation.evidence import FILE, write_evidence
-from mavins.evaluation.result_folder import Result, read_result
+from mavins.evaluation.result_folder import read_result
 from mavins.evaluation.witness import Witness
 from mavins.filters.base import RowBlock
 from mavins.nav.earth import TangentFrame
@@ -105,7 +106,7 @@ def make_result(tmp_path: Path) -> Callable[..., Result]:
                 0.2,
             )
             witness.feed_gnss(fix)
-        write_evidence(out / "eskf" / FILE, witness.evidence())
+        write_evidence(out / "eskf" / FILE, witness.evidence(), np.empty((0, 6)))
         told = {
             "mavins": "0",
             "log": "flight.tlog",

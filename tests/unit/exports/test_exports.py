@@ -17,8 +17,9 @@ import pytest
 from mavins import exports
 from mavins.config import Config
 from mavins.errors import ConfigError, LogFormatError
-from mavins.evaluation.result_folder import Result
+from mavins.estimates import Result
 from mavins.exports import REGISTRY, TLOG, formats_of, write_exports
+from mavins.exports.places import in_degrees
 from mavins.filters.base import RowBlock
 from mavins.nav.earth import dcm_ne
 from mavins.nav.so3 import quat_to_dcm
@@ -52,13 +53,12 @@ def test_tum_is_the_trajectory_in_n(make_result: Make, tmp_path: Path) -> None:
     rows = np.loadtxt(path)
     assert rows.shape == (N, 8)
     assert not path.read_text().startswith("\n")
-    e = result.estimates
-    assert np.array_equal(np.round(rows[:, 0] * 1e6), e.t_us)
-    assert np.allclose(rows[:, 1:4], e.stack("p_n", "p_e", "p_d"), atol=6e-5)
+    assert np.array_equal(np.round(rows[:, 0] * 1e6), result.t_us)
+    assert np.allclose(rows[:, 1:4], result.p_n, atol=6e-5)
     C_ne = dcm_ne(math.radians(47.4), math.radians(8.5))
     for k in (0, 123, N - 1):
-        lat, lon, _ = e.lla[k].tolist()
-        C_lb = dcm(np.roll(e.stack("q_w", "q_x", "q_y", "q_z")[k], -1))
+        lat, lon, _ = result.lla[k].tolist()
+        C_lb = dcm(np.roll(result.quaternions[k], -1))
         C_nb = C_ne @ dcm_ne(lat, lon).T @ C_lb
         assert np.allclose(dcm(rows[k, 4:8]), C_nb, atol=1e-8)
         # 20 km from the origin the two frames are 3 mrad apart: they are not mistaken for each other
@@ -82,10 +82,10 @@ def test_gpx(make_result: Make, tmp_path: Path) -> None:
     before, after = estimate.findall(f"{GPX}trkseg")
     first = before.find(f"{GPX}trkpt")
     assert first is not None
-    e = result.estimates
-    assert float(first.get("lat", "")) == pytest.approx(e.columns["lat_deg"][0], abs=1e-8)
-    assert float(first.get("lon", "")) == pytest.approx(e.columns["lon_deg"][0], abs=1e-8)
-    assert float(first.findtext(f"{GPX}ele", "")) == pytest.approx(e.columns["alt_m"][0], abs=1e-3)
+    lat, lon, alt = in_degrees(result.lla)[0]
+    assert float(first.get("lat", "")) == pytest.approx(lat, abs=1e-8)
+    assert float(first.get("lon", "")) == pytest.approx(lon, abs=1e-8)
+    assert float(first.findtext(f"{GPX}ele", "")) == pytest.approx(alt, abs=1e-3)
     assert first.findtext(f"{GPX}time") == FIRST_TIME
     assert (len(before), len(after)) == (8, 4)
     # the first fix was none
@@ -108,8 +108,7 @@ def test_kml_plays_where_utc_is_known(make_result: Make, tmp_path: Path) -> None
     times, places = tracks[0].findall(f"{KML}when"), tracks[0].findall(f"{GX}coord")
     assert len(times) == len(places) == 8
     assert times[0].text == FIRST_TIME
-    e = result.estimates.columns
-    expected = [e["lon_deg"][0], e["lat_deg"][0], e["alt_m"][0]]
+    expected = in_degrees(result.lla)[0, [1, 0, 2]]
     assert [float(n) for n in str(places[0].text).split()] == pytest.approx(expected, abs=1e-3)
     styles = {f"#{style.get('id')}" for style in root.findall(f".//{KML}Style")}
     assert {url.text for url in root.findall(f".//{KML}styleUrl")} <= styles
@@ -144,7 +143,7 @@ def test_parquet_holds_what_the_csv_files_hold(make_result: Make, tmp_path: Path
     result = make_result()
     for path in written(result, "parquet", tmp_path):
         table = pq.read_table(path)
-        with (result.folder / "eskf" / path.name).with_suffix(".csv").open() as file:
+        with (tmp_path / "result" / "eskf" / path.name).with_suffix(".csv").open() as file:
             header, *rows = csv.reader(file)
         assert table.column_names == header
         columns = table.to_pydict()
@@ -211,7 +210,7 @@ def test_mcap_tells_what_the_result_tells(make_result: Make, tmp_path: Path) -> 
     result = make_result()
     (path,) = written(result, "mcap", tmp_path)
     found = messages_of(path)
-    e, offset_us = result.estimates, result.summary["utc_offset_us"]
+    e, offset_us = result, result.summary["utc_offset_us"]
     assert min(message.log_time for _, _, message in found) == (int(e.t_us[0]) + offset_us) * 1000
     by_topic: dict[str, list[Any]] = {}
     for schema, channel, message in found:
@@ -221,19 +220,18 @@ def test_mcap_tells_what_the_result_tells(make_result: Make, tmp_path: Path) -> 
             assert stamp.seconds * 1_000_000_000 + stamp.nanos == message.log_time
     last = by_topic["/estimate/pose"][-1]
     place = last.pose.position
-    assert [place.x, place.y, place.z] == e.stack("p_n", "p_e", "p_d")[-1].tolist()
+    assert [place.x, place.y, place.z] == e.p_n[-1].tolist()
     odometry = by_topic["/estimate/odometry"][0]
     assert (odometry.frame_id, odometry.body_frame_id) == ("n", "body")
     q = odometry.pose.orientation
     v, lat, lon = odometry.linear_velocity, *e.lla[0, :2].tolist()
     C_ln = dcm_ne(lat, lon) @ dcm_ne(math.radians(47.4), math.radians(8.5)).T
     v_l = C_ln @ dcm(np.array([q.x, q.y, q.z, q.w])) @ np.array([v.x, v.y, v.z])
-    assert np.allclose(v_l, e.v_l[0], atol=1e-7)
+    assert np.allclose(v_l, e.v[0], atol=1e-7)
     assert odometry.pose_covariance[0] == pytest.approx(0.04)
     assert odometry.velocity_covariance[7] == pytest.approx(0.04, rel=1e-5)
     location = by_topic["/estimate/location"][0]
-    assert location.latitude == e.columns["lat_deg"][0]
-    assert location.altitude == e.columns["alt_m"][0]
+    assert [location.latitude, location.altitude] == in_degrees(e.lla)[0, [0, 2]].tolist()
     fix = by_topic["/gnss/location"][0]
     assert list(fix.position_covariance)[::4] == pytest.approx([0.25, 0.25, 0.64])
     root, *moving = by_topic["/tf"]

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -131,13 +132,25 @@ def test_in_an_outage_the_messages_go_on_without_a_fix():
     assert {positions[k].vx for k in out} == {positions[250].vx}
 
 
-def test_pacing():
+def test_pacing(monkeypatch):
+    now = [7.0]
+
+    def wait(seconds):
+        now[0] += seconds
+
+    monkeypatch.setattr("sitl.emitter.time", SimpleNamespace(monotonic=lambda: now[0], sleep=wait))
     stream = [(START_US + 4000 * k, b"") for k in range(500)]
     seen = []
-    begin = time.monotonic()
-    fly(iter(stream), lambda t_us, _: seen.append(t_us), duration=0.4, speed=2.0)
-    assert 0.15 < time.monotonic() - begin < 0.6
-    assert seen == [t_us for t_us, _ in stream[:100]]
+    fly(
+        iter(stream),
+        lambda t_us, _: seen.append((t_us, now[0])),
+        duration=0.4,
+        speed=2.0,
+        wait=wait,
+    )
+    assert [t_us for t_us, _ in seen] == [t_us for t_us, _ in stream[:100]]
+    assert [at for _, at in seen] == pytest.approx([7.0 + 0.002 * k for k in range(100)])
+    seen.clear()
     fly(iter(stream), lambda t_us, _: seen.clear(), speed=math.inf)
     assert seen == []
     fly(iter(stream), lambda t_us, _: seen.append(t_us), stopped=lambda: len(seen) == 3)
@@ -219,7 +232,12 @@ def test_a_signal_ends_it_cleanly(tmp_path, number):
     )
     assert process.stderr is not None
     assert process.stderr.readline().startswith(b"flying quad_mission")
-    time.sleep(0.3)
+    until = time.monotonic() + 20.0
+    while (
+        not path.stat().st_size
+    ):  # what is written waits for some more, and is then some hundred packets
+        assert time.monotonic() < until
+        time.sleep(0.02)
     process.send_signal(number)
     _, error = process.communicate(timeout=20)
     assert (process.returncode, error) == (0, b"")
