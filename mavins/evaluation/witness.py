@@ -5,6 +5,7 @@ What it costs must not show beside the estimator: tables are kept as they come a
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Sequence
 from typing import Final
 
@@ -42,10 +43,10 @@ class Witness(Relay):
         self._waiting = 0
         self._seconds = _Seconds()
         self._welch = Welch()
-        self._fixes: list[tuple[float, ...]] = []
-        self._headings: list[tuple[int, float]] = []
-        self._mag: list[int] = []
-        self._baro: list[int] = []
+        self._fixes = array("d")
+        self._headings = array("d")
+        self._mag = array("q")
+        self._baro = array("q")
 
     def feed_imu(self, table: ImuTable) -> None:
         """Hand on IMU samples, and keep them until they are enough to be looked at."""
@@ -59,7 +60,7 @@ class Witness(Relay):
         for _, reading in between:
             match reading:
                 case HeadingFix():
-                    self._headings.append((reading.t_us, reading.yaw))
+                    self._headings.extend((reading.t_us, reading.yaw))
                 case MagSample():
                     self._mag.append(reading.t_us)
                 case BaroSample():
@@ -71,12 +72,12 @@ class Witness(Relay):
         v = fix.v_l or (np.nan, np.nan, np.nan)
         claims = (fix.satellites, fix.sigma_h, fix.sigma_v, fix.sigma_speed)
         known = (np.nan if claim is None else claim for claim in claims)
-        self._fixes.append((fix.t_us, fix.lat, fix.lon, fix.alt, *v, fix.fix_type, *known))
+        self._fixes.extend((fix.t_us, fix.lat, fix.lon, fix.alt, *v, fix.fix_type, *known))
 
     def feed_heading(self, fix: HeadingFix) -> None:
         """Hand on and keep a heading."""
         super().feed_heading(fix)
-        self._headings.append((fix.t_us, fix.yaw))
+        self._headings.extend((fix.t_us, fix.yaw))
 
     def feed_mag(self, sample: MagSample) -> None:
         """Hand on a magnetometer's reading, and keep its stamp."""

@@ -44,11 +44,12 @@ def _magnetometer(settings: Settings, log: SensorLog) -> MagnetometerSettings:
     if s.rotation == "auto" or s.hard_iron == "auto":
         C = quat_to_dcm(euler_to_quat(*settings.imu.rotation))
         found = calibrate(
-            log.imu.t_us - round((settings.imu.delay) * 1e6),
-            log.imu.gyro_b @ C.T,
-            log.mag.t_us - round(s.delay * 1e6),
+            log.imu.t_us,
+            log.imu.gyro_b,
+            log.mag.t_us - round((s.delay - settings.imu.delay) * 1e6),
             log.mag.rows,
             None if s.rotation == "auto" else s.rotation,
+            C,
         )
         hard_iron = found.hard_iron if s.hard_iron == "auto" else s.hard_iron
         s = replace(s, rotation=found.rotation, hard_iron=hard_iron)

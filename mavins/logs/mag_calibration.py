@@ -11,7 +11,7 @@ at right angles that leaves the smallest residual. Theory: docs/theory/compass.m
 
 from __future__ import annotations
 
-from itertools import permutations, product
+from itertools import pairwise, permutations, product
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -36,6 +36,10 @@ _NOISE: Final = 0.02
 _CLEARLY: Final = 0.5
 """The squared residuals of another mounting than along the body's axes must be below this share of theirs."""
 
+_PIECE: Final = 100_000
+"""IMU samples that are turned at once."""
+_ALONG: Final[FloatArray] = np.eye(3)
+
 
 class MagCalibration(NamedTuple):
     """Roll, pitch, yaw in rad that turn the sensor's axes into the body's, and the hard iron along the sensor's."""
@@ -45,10 +49,9 @@ class MagCalibration(NamedTuple):
 
 
 @kernel
-def turns(t_us: IntArray, gyro_b: FloatArray, at_us: IntArray) -> FloatArray:
-    """Attitudes (M, 4) at instants, relative to the first sample, from rates (N, 3) on lines between samples."""
+def turns(t_us: IntArray, gyro_b: FloatArray, at_us: IntArray, q: FloatArray) -> FloatArray:
+    """Attitudes (M, 4) at instants, from q (4,) at the first sample, from rates (N, 3) on lines between samples."""
     out = np.empty((len(at_us), 4))
-    q = np.array([1.0, 0.0, 0.0, 0.0])
     k = 0
     for i in range(len(at_us)):
         while k + 1 < len(t_us) and t_us[k + 1] <= at_us[i]:
@@ -59,16 +62,33 @@ def turns(t_us: IntArray, gyro_b: FloatArray, at_us: IntArray) -> FloatArray:
     return out
 
 
+def _attitudes(t_us: IntArray, gyro: FloatArray, C: FloatArray, at_us: IntArray) -> FloatArray:
+    """`turns` of rates C gyro (N, 3), in pieces, for they are the largest table of a log."""
+    q = np.array([1.0, 0.0, 0.0, 0.0])
+    out = np.tile(q, (len(at_us), 1))
+    edges = [*range(0, len(t_us) - 1, _PIECE), len(t_us) - 1]
+    for first, last in pairwise(edges):
+        rows = slice(first, last + 1)
+        within = slice(
+            *np.searchsorted(at_us, (t_us[first], t_us[last] + (rows.stop == len(t_us))))
+        )
+        q_at = turns(t_us[rows], gyro[rows] @ C.T, np.append(at_us[within], t_us[last]), q)
+        out[within], q = q_at[:-1], q_at[-1]
+    return out
+
+
 def calibrate(
     t_us: IntArray,
-    gyro_b: FloatArray,
+    gyro: FloatArray,
     mag_us: IntArray,
     field: FloatArray,
     rotation: tuple[float, float, float] | None = None,
+    C_bs: FloatArray = _ALONG,
 ) -> MagCalibration:
     """The mounting, if it is not given as a `rotation`, and the hard iron.
 
-    Rates `gyro_b` (N, 3) rad/s at `t_us` (N,), readings `field` (M, 3) in any unit at `mag_us` (M,).
+    Rates `gyro` (N, 3) rad/s at `t_us` (N,), along the IMU's axes, which C_bs (3, 3) turns into the body's; readings
+    `field` (M, 3) in any unit at `mag_us` (M,).
     """
     inside = (mag_us >= t_us[0]) & (mag_us <= t_us[-1])
     mag_us, field = mag_us[inside], field[inside]
@@ -77,7 +97,7 @@ def calibrate(
     spacing = float(np.median(np.diff(mag_us))) if len(mag_us) > 1 else _PERIOD_US
     apart = max(1, round(_APART_US / spacing))
     near = np.flatnonzero(mag_us[apart:] - mag_us[:-apart] < 2 * _APART_US)
-    attitudes = turns(t_us, gyro_b, mag_us)
+    attitudes = _attitudes(t_us, gyro, C_bs, mag_us)
     C = np.array([quat_to_dcm(q) for q in attitudes]).reshape(-1, 3, 3)
     turn = np.transpose(C[near + apart], (0, 2, 1)) @ C[near]  # C^T of the docstring
     before, after = field[near], field[near + apart]

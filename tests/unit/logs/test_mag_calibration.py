@@ -39,8 +39,15 @@ def flight(
 def test_turns_are_the_attitudes_at_any_instant() -> None:
     t_us = np.arange(0, 1_000_000, 10_000)
     gyro = np.tile([0.0, 0.0, 1.0], (len(t_us), 1))
-    q = turns(t_us, gyro, np.array([0, 333_333, 905_000]))
+    q = turns(t_us, gyro, np.array([0, 333_333, 905_000]), np.array([1.0, 0.0, 0.0, 0.0]))
     assert_allclose(q[:, 3], np.sin(0.5 * np.array([0.0, 0.333333, 0.905])), atol=1e-9)
+
+
+def test_pieces_do_not_show(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = calibrate(*flight(0.5, 1.0))
+    for piece in (1, 7, 100):
+        monkeypatch.setattr("mavins.logs.mag_calibration._PIECE", piece)
+        assert calibrate(*flight(0.5, 1.0)) == whole
 
 
 @pytest.mark.parametrize("scale", [1.0, 600.0])
