@@ -110,11 +110,12 @@ def test_gravity_is_the_same_before_and_after() -> None:
     settings = dataclasses.replace(settings, states=states)
     filtered, smoothed, estimator, frames = both("eskf", flown()[0].feeds, settings)
     assert estimator.filter.layout.blocks[-1] == "g_n"
-    np.testing.assert_allclose(
-        smoothed.x[:, X_G], np.tile(filtered.x[-1, X_G], (len(smoothed.x), 1)), atol=1e-7
-    )
+    assert np.ptp(smoothed.x[:, X_G], axis=0).max() < 1e-9
+    # a fix more may come after the last row
+    np.testing.assert_allclose(smoothed.x[-1, X_G], filtered.x[-1, X_G], atol=1e-5)
     g = smoothed.P[:, 15:, 15:]
-    np.testing.assert_allclose(g, np.broadcast_to(filtered.P[-1, 15:, 15:], g.shape), rtol=1e-3)
+    np.testing.assert_allclose(g, np.broadcast_to(g[-1], g.shape), rtol=1e-6)
+    np.testing.assert_allclose(g[-1], filtered.P[-1, 15:, 15:], rtol=0.02, atol=1e-8)
     assert filtered.P[0, 15, 15] > 10.0 * g[0, 0, 0]
     e = errors(true_states(smoothed, frames[0]), smoothed.x)[:, :9]
     assert 4.0 < np.mean(nees(e, smoothed.P[:, :9, :9])) < 18.0

@@ -153,7 +153,7 @@ def test_pacing(monkeypatch):
     seen.clear()
     fly(iter(stream), lambda t_us, _: seen.clear(), speed=math.inf)
     assert seen == []
-    fly(iter(stream), lambda t_us, _: seen.append(t_us), stopped=lambda: len(seen) == 3)
+    fly(iter(stream), lambda t_us, _: seen.append(t_us), stopped=lambda: len(seen) == 3, wait=wait)
     assert len(seen) == 3
 
 
