@@ -13,6 +13,8 @@ from mavins.filters import REGISTRY
 pytestmark = [pytest.mark.slow, pytest.mark.jit]
 
 
+# where no filter is compiled yet, all of them are here
+@pytest.mark.timeout(900)
 def test_every_filter_on_a_scenario(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     command = ["compare", "hover", "--seeds", "2", "--duration", "60", "--out", str(tmp_path)]
     assert main(command) == 0
