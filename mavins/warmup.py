@@ -15,7 +15,7 @@ from mavins.aiding import Measurement, gnss_position, gnss_velocity, heading, ze
 from mavins.aiding.many import linearize
 from mavins.config import Config
 from mavins.estimator.estimator import Estimator, Outputs
-from mavins.estimator.passage import Rows, passage_of
+from mavins.estimator.passage import Compiled, Rows, passage_of
 from mavins.estimator.solution import WIDTH, describe
 from mavins.estimator.vibration import Vibration
 from mavins.evaluation.errors import errors_against
@@ -62,7 +62,7 @@ def compile_all(report: Report, filter_name: str = "eskf") -> None:
     if cold:
         report("compiling the kernels (first start only, a minute or two) ...")
         if CACHE is not None:
-            for stage in STAGES:
+            for stage in _stages_of(filter_name):
                 _in_a_process(stage, filter_name, report)
     _results(filter_name, lambda line: None)
     _fly(filter_name, report if cold and CACHE is None else lambda line: None)
@@ -72,6 +72,12 @@ def compile_all(report: Report, filter_name: str = "eskf") -> None:
             f"kept in {CACHE}" if CACHE is not None else "not kept: no cache folder can be written"
         )
         report(f"compiled in {time.monotonic() - started:.0f} s, {kept}")
+
+
+def _stages_of(filter_name: str) -> list[str]:
+    """The stages for a filter: parts of the kernel for stretches only where there is one."""
+    whole = isinstance(passage_of(_filter(filter_name)), Compiled)
+    return [stage for stage in STAGES if whole or stage not in _OF_STRETCHES]
 
 
 def not_ready(config: Config) -> str:
@@ -90,11 +96,14 @@ def _in_a_process(stage: str, filter_name: str, report: Report) -> None:
             report(line.rstrip())
 
 
+def _filter(name: str) -> Filter:
+    return make(name, ImuNoise(0.01, 0.1, 1e-4, 1e-3), Config().states.layout())
+
+
 def _standing(filter_name: str) -> tuple[Filter, FilterState, TangentFrame]:
     x, u = np.zeros(X_SIZE), np.array([0.0, 0.0, 0.0, 0.0, 0.0, -9.81])
     x[6] = 1.0
-    layout = Config().states.layout()
-    algorithm = make(filter_name, ImuNoise(0.01, 0.1, 1e-4, 1e-3), layout)
+    algorithm = _filter(filter_name)
     state = FilterState(x, 0.01 * np.eye(algorithm.layout.size), u, 0)
     algorithm.adopt(state)
     return algorithm, state, TangentFrame.at(Origin(_LAT, _LON, _ALT))
@@ -259,6 +268,8 @@ STAGES: Final[dict[str, Callable[[str, Report], None]]] = {
     "flight": _fly,
 }
 """What is compiled by a process each, in this order: each needs less memory than all at once."""
+
+_OF_STRETCHES: Final = ("aidings", "mechanization")
 
 if __name__ == "__main__":
     STAGES[sys.argv[1]](sys.argv[2], lambda line: print(line, flush=True))

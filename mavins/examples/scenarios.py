@@ -79,7 +79,7 @@ def flight(config: Config, scenario: Scenario, seed: int, duration: float) -> tu
         else:
             tape.feed_gnss(dataclasses.replace(aid, delay=delay))
     if start < len(m.imu):
-        tape.feed_imu(m.imu[start : len(m.imu)])
+        tape.feed_imu(m.imu[start:])
     samples = [state.sample for state in m.states]
     truth = Truth(
         np.array([s.t_us for s in samples]),

@@ -152,12 +152,12 @@ class Intake:
         rows = zip(others.tolist(), msgids, stamps, places, self._yaws(frames, others), strict=True)
         for i, msgid, stamp_us, before, yaw in rows:
             idle, watched = is_idle(msgid, stamp_us), self._is_watched(msgid, stamp_us)
-            if idle and not watched and not waiting:
+            heads = msgid == ATTITUDE_ID and not watched and self.fixes.uses_attitude
+            # behind one that waits, whether another comes too soon is known only when that is used
+            if idle and not watched and not (heads and waiting):
                 continue
-            if msgid == ATTITUDE_ID and not watched and self.fixes.uses_attitude:
+            if heads:
                 waiting.append((before, i, stamp_us, yaw))
-                continue
-            if idle and not watched:
                 continue
             if before > taken or waiting:
                 self._place_with(frames, samples, slice(taken, before), waiting)
